@@ -22,6 +22,7 @@ import orjson
 
 from app.cell.governed import GovernedCell
 from app.cell.journal import Journal, JournalDamaged, JournalUnavailable
+from app.cell.latch import Latch
 from app.cell.link import Identity, Link
 from app.cell.loop import Lease, Outbox, TickLoop
 from app.cell.pin import KeyPin
@@ -74,7 +75,7 @@ def run_cell(settings: CellSettings) -> int:
 async def _run(settings: CellSettings) -> int:
     scenario, robot = read_scenario(settings.scenario), robot_model(settings.robot)
     boot = f"boot_{secrets.token_hex(8)}"
-    journal = Journal(settings.data / "journal", boot=boot)
+    journal, latch = Journal(settings.data / "journal", boot=boot), Latch(settings.data / "latch")
     close_left_open(journal, Recorder(journal, wall_s, lambda _: None))
     inbox: SimpleQueue[Order] = SimpleQueue()
     outbox, lease = Outbox(journal.last_seq), Lease()
@@ -91,7 +92,9 @@ async def _run(settings: CellSettings) -> int:
             scenario=scenario,
             robot_mjcf=robot,
         )
-        runner = GovernedCell(substrate, policies, kernel_key=kernel_key, journal=journal, outbox=outbox, wall=wall_s)
+        runner = GovernedCell(
+            substrate, policies, kernel_key=kernel_key, journal=journal, outbox=outbox, wall=wall_s, latch=latch
+        )
         runner.write_behind()
         # The loop lives in this process: a collector that walks all that was built at the start, because a policy is
         # being compiled beside it, would take five control periods at once.

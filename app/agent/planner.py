@@ -248,7 +248,10 @@ _BY_REPAIR: tuple[tuple[_Repairer, str], ...] = (
     (_start_over, "object_lost placement_failed tool_failed postcondition_failed timeout stall"),
     (_start_over, "session_lost cell_lost cell_restarted launch_unconfirmed link_lost"),
     (_give_up, "overgrip overspeed zone instability retries_exhausted rollback_failed verified"),
-    (_give_up, "recovery_failed guard_broken not_held another_site unknown_capability unknown_name power_off"),
+    (
+        _give_up,
+        "recovery_failed guard_broken loop_broken not_held another_site unknown_capability unknown_name power_off",
+    ),
     (_give_up, "operator expired taken_over control_lapsed cancelled estop shutdown"),
 )
 REPAIRS: Mapping[str, _Repairer] = {code: repairer for repairer, codes in _BY_REPAIR for code in codes.split()}

@@ -51,6 +51,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from app.cell.journal import Entry, Journal
+    from app.cell.latch import Latch
     from app.cell.loop import Order, Outbox
     from app.cell.moment import Moment
     from app.cell.runner import View
@@ -75,6 +76,7 @@ class GovernedCell:
         journal: Journal,
         outbox: Outbox,
         wall: Callable[[], float],
+        latch: Latch | None = None,
     ) -> None:
         """Put a runner on a substrate; it holds until it is welcomed.
 
@@ -85,6 +87,7 @@ class GovernedCell:
             journal: the cell's; what it still holds goes up first.
             outbox: where reports, telemetry and states go.
             wall: wall time, seconds since the epoch.
+            latch: where a latched stop is kept that the journal does not take.
 
         Raises:
             ValueError: the key is none.
@@ -108,6 +111,7 @@ class GovernedCell:
             wall=wall,
             emit=self._tell,
             on_telemetry=self._show,
+            latch=latch,
         )
         outbox.scene = describe(substrate)
         outbox.things = things(outbox.scene, policies.site)
@@ -128,9 +132,9 @@ class GovernedCell:
         """Hold in place and launch nothing until welcomed; `shutdown` ends the session."""
         self._runner.hold(reason)
 
-    def cut_power(self) -> None:
-        """Stop by category 0: nobody ticks any more."""
-        self._runner.substrate.stop(0)
+    def break_off(self, error: Exception) -> None:
+        """Stop by category 0, and stay latched: nobody ticks any more."""
+        self._runner.break_off(error)
 
     def write_behind(self) -> None:
         """Have a thread of its own write the journal from here on."""

@@ -389,11 +389,15 @@ class Link:
             if self._lease.lapsed():
                 raise LinkLost(f"nothing heard for {protocol.LEASE_MS} ms")
             if self._loop is not None and not self._loop.alive():
+                await self._hand_up()  # what broke, and that the cell is latched
                 raise LinkLost("the control loop ended")
 
     async def _take_leave(self) -> None:
         """Come to rest, then stay until the server holds the last event, but not for long."""
         await self._end_loop()
+        await self._hand_up()
+
+    async def _hand_up(self) -> None:
         self._wake.set()
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(FAREWELL_S):

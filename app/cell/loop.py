@@ -95,8 +95,8 @@ class Governed(Protocol):
         """Return once everything that can be recorded is."""
         ...
 
-    def cut_power(self) -> None:
-        """Stop by category 0: nobody ticks any more."""
+    def break_off(self, error: Exception) -> None:
+        """Stop by category 0 and stay latched, on the disk: nobody ticks any more."""
         ...
 
     def look(self) -> Moment:
@@ -231,13 +231,17 @@ class TickLoop:
         return self._thread.is_alive()
 
     def run(self) -> None:
-        """Tick until shut down. A bug in the runner cuts power, and ends the loop and with it the cell."""
+        """Tick until shut down. A bug in the runner cuts power, and ends the loop and with it the cell.
+
+        Whatever starts the cell again finds it latched: what broke would break again, or drive on as if it had not.
+        """
         try:
             self._run()
         except Exception as error:  # whatever it is, the link reads it here and ends the process
             self.broken = error
-            self._runner.cut_power()  # a robot keeps to its last command until somebody says otherwise
+            self._runner.break_off(error)  # a robot keeps to its last command until somebody says otherwise
             self._runner.settle()
+            self._outbox.state = self._runner.state(self.overruns)
         finally:
             self._outbox.wake()
 

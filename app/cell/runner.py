@@ -44,6 +44,7 @@ if TYPE_CHECKING:
 
     from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
 
+    from app.cell.latch import Latch
     from app.cell.substrate import Skill, Substrate
     from app.governance.model import Json, Observation, Wish
     from app.governance.permit import Grant
@@ -51,6 +52,7 @@ if TYPE_CHECKING:
 Deed: TypeAlias = "Callable[[Session], str | None]"
 
 CATCH_UP_TICKS: Final = 100
+LOST: Final = "a stop was latched, and the journal could not take what came before it"
 _NOTHING: Final[Mapping[str, tuple[str, str]]] = {}
 _NO_WORDS: Final[Mapping[str, str]] = {}
 
@@ -89,6 +91,7 @@ class Runner:
         wall: Callable[[], float],
         emit: Callable[[Entry], None] = lambda _: None,
         on_telemetry: Callable[[str, bytes], None] = lambda _, __: None,
+        latch: Latch | None = None,
     ) -> None:
         """Take a substrate into custody. What an earlier run of the cell left open is reported as the fault it is.
 
@@ -100,6 +103,7 @@ class Runner:
             wall: Wall time, seconds since the epoch.
             emit: Told every entry of the journal, after it was written.
             on_telemetry: Told (invocation, packed rows) whenever `protocol.ROWS_PER_BATCH` of those to keep are there.
+            latch: Where a latched stop is kept that the journal does not take; without it, nowhere.
         """
         self.substrate = substrate
         self.journal = journal
@@ -119,9 +123,13 @@ class Runner:
         self._base = BaseEstimate()
         self._doubted = False  # something leapt, and no session has waited it out
         self._unpowered = False
+        self._latch_beside = latch
         self.latched = bool(journal.marks.get("latched"))
-        self.broken = ""
+        self.broken = str(journal.marks.get("broken") or "")  # until a reset, whoever starts the cell meanwhile
         self._broke_tick = 0
+        if latch is not None and latch.found and not self.latched:
+            self.latched, self.broken = True, LOST
+            self._record.say_anyway(telling.cell("estop", telling.CELL), marks={"latched": True, "broken": LOST})
         if self.latched:
             self._cut_power()
         close_left_open(journal, self._record)
@@ -260,15 +268,42 @@ class Runner:
 
     def _latch(self, actor: str, end: End) -> None:
         self._cut_power()
-        self.latched = True
-        self._record.say_anyway(telling.cell("estop", actor), marks={"latched": True})
+        self._say_latched(actor)
         if self._session is not None:
             self._session.finish(end)
             self._take_leave(self._session)
         # Last, since nothing that restrains waits for a disk. The server may not have heard of it: without this, losing
         # power in the seconds until the system writes by itself would take the latch back.
-        with suppress(JournalUnavailable):  # `fault` says so
+        try:
             self._record.sync()
+        except JournalUnavailable:  # `fault` says so
+            self._keep_beside()
+
+    def _say_latched(self, actor: str) -> None:
+        self.latched = True
+        marks: dict[str, Json] = {"latched": True, **({"broken": self.broken} if self.broken else {})}
+        self._record.say_anyway(telling.cell("estop", actor), marks=marks)
+
+    def _keep_beside(self) -> None:
+        if self._latch_beside is not None:
+            with suppress(JournalUnavailable):  # then nothing on that disk can be written, and no cell starts on it
+                self._latch_beside.keep()
+
+    def break_off(self, error: Exception) -> None:
+        """Stop by category 0, and stay latched in whatever runs next: what drives the ticks broke, and nobody will."""
+        session, self._session = self._session, None
+        self.broken = f"its control loop broke, and power was cut: {error!r}"
+        try:
+            self._cut_power()
+        finally:  # whatever else is broken
+            self._keep_beside()
+            self._say_latched(telling.CELL)
+            self._record.say_anyway(telling.cell("broken", telling.CELL, repr(error)))
+            if session is not None:
+                ended = telling.outcome(session.run.id, Outcome.FAULT, "loop_broken")
+                self._record.say_anyway(ended, marks={"open": None})
+            with suppress(JournalUnavailable):  # it is kept beside the journal
+                self._record.sync()
 
     def reset(self, actor: str, seen: int | None = None) -> str | None:
         """Leave a latched stop; return None, or why not. Moves nothing.
@@ -284,7 +319,9 @@ class Runner:
             self._record.say_anyway(telling.cell("reset_refused", actor, "the watch broke after what was seen"))
             return "broken_since"
         try:
-            self._record.say_first(telling.cell("reset", actor), marks={"latched": None})
+            self._record.say_first(telling.cell("reset", actor), marks={"latched": None, "broken": None})
+            if self._latch_beside is not None:
+                self._latch_beside.leave()
         except JournalUnavailable:
             return "journal_unavailable"
         self.latched, self.broken = False, ""

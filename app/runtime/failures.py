@@ -43,6 +43,7 @@ KNOWN: Final[Mapping[str, tuple[str, str]]] = {
     "cancelled": ("it was cancelled", ""),
     "estop": ("an emergency stop was pressed", "wait until it is reset"),
     "guard_broken": ("what guards the cell broke, and power was cut", "leave it to a human: the cell needs service"),
+    "loop_broken": ("the cell's control loop broke, and power was cut", "leave it to a human: the cell needs service"),
     "not_held": ("the arm moved while it was held, and power was cut", "leave it to a human: the drives need service"),
     "shutdown": ("the cell was shut down", "propose it again when the cell is back"),
     "journal_unavailable": ("the cell cannot write its journal", "propose it again once there is room for it"),

@@ -15,6 +15,7 @@ from pathlib import Path
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
 from app.cell.journal import Entry, Journal
+from app.cell.latch import Latch
 from app.cell.runner import Runner
 from app.cell.substrate import SubstrateError
 from app.governance.model import (
@@ -351,7 +352,7 @@ class Rig:
         self.now_s = NOW_S + 1.0
         self.runner = self.start()
 
-    def start(self) -> Runner:
+    def start(self, latch: Latch | None = None) -> Runner:
         runner = Runner(
             self.cell,  # type: ignore[arg-type]
             plan_of=self.plan_of,
@@ -360,6 +361,7 @@ class Rig:
             wall=lambda: self.now_s,
             emit=self.entries.append,
             on_telemetry=lambda _, rows: self.telemetry.extend(rows),
+            latch=latch,
         )
         runner.adopt(policy_digest=DIGEST, key=KEY.public_key())
         return runner

@@ -54,7 +54,8 @@ class Recorder:
     def settle(self) -> None:
         self.settled_behind = (self.ticks, self.cut)
 
-    def cut_power(self) -> None:
+    def break_off(self, error: Exception) -> None:
+        assert error is self.fault
         self.cut = True
 
     def sight(self) -> Sight | None:
@@ -66,7 +67,7 @@ class Recorder:
             tick=self.ticks,
             invocation=None,
             status=self.status,
-            latched=False,
+            latched=self.cut,
             holding=False,
             policy_digest=None,
             profile=None,
@@ -246,6 +247,8 @@ def test_a_bug_in_the_runner_ends_the_loop_and_is_kept(start: Callable[..., Benc
     until(lambda: not bench.loop.alive())
     assert bench.loop.broken is runner.fault
     assert runner.settled_behind == (runner.ticks, True), "power is cut first, then what was said is written"
+    assert bench.outbox.state is not None
+    assert bench.outbox.state.latched, "whoever is linked still hears of it"
 
 
 @pytest.mark.parametrize("status", ["running", "paused", "recovering"])

@@ -15,8 +15,9 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
 from app.cell.display import sitting
 from app.cell.journal import Journal, JournalUnavailable
+from app.cell.latch import Latch
 from app.cell.run import RETURNS_RADPS
-from app.cell.runner import Runner, run_session
+from app.cell.runner import LOST, Runner, run_session
 from app.governance.model import (
     Command,
     CoveredRecovery,
@@ -1305,6 +1306,57 @@ def test_an_emergency_stop_is_at_once_latched_and_its_reset_moves_nothing(rig: R
     assert rig.runner.reset("operator") == "not_latched"
     rig.launch(id="auth-4", invocation="inv-4")
     assert rig.finish()["outcome"] == "succeeded"
+
+
+@pytest.mark.parametrize("written", [True, False], ids=["in the journal", "beside a journal that takes nothing"])
+@pytest.mark.parametrize("running", [True, False])
+def test_a_loop_that_breaks_leaves_the_cell_latched_whatever_starts_it_again(
+    rig: Rig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, written: bool, running: bool
+) -> None:
+    def again(boot: str) -> None:
+        rig.journal.close()
+        rig.journal = Journal(tmp_path / "journal", boot=boot)
+        rig.runner = rig.start(Latch(tmp_path / "latch"))
+
+    again("boot-2")
+    if running:
+        rig.launch()
+        rig.ticks(60)
+    with monkeypatch.context() as broken:
+        BrokenDisk(rig, broken).broken = not written
+        rig.runner.break_off(RuntimeError("no such tick"))
+    assert rig.cell.stops == [0]
+    again("boot-3")
+    assert rig.runner.latched
+    assert ("no such tick" if written else LOST) in rig.runner.view().broken
+    assert rig.runner.launch(signed(id="auth-2", invocation="inv-2")) == "estop_latched"
+    assert ("estop", "cell") in [(entry.body.get("what"), entry.actor) for entry in rig.entries]
+    ends = [(entry.invocation, entry.body["code"]) for entry in rig.entries if entry.kind == "outcome"]
+    assert ends == ([("inv-1", "loop_broken" if written else "cell_restarted")] if running else [])
+    again("boot-4")
+    assert rig.runner.reset("operator", 0) is None
+    again("boot-5")
+    assert (rig.runner.latched, rig.runner.view().broken) == (False, "")
+
+
+def test_an_emergency_stop_that_no_journal_takes_is_kept_beside_it(
+    rig: Rig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rig.runner = rig.start(Latch(tmp_path / "latch"))
+    with monkeypatch.context() as broken:
+        BrokenDisk(rig, broken).broken = True
+        rig.runner.estop("anyone")
+    assert Latch(tmp_path / "latch").found
+    assert rig.runner.reset("operator") is None
+    assert not Latch(tmp_path / "latch").found
+
+
+def test_power_that_cannot_be_cut_keeps_no_latch_from_being_set(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
+    with monkeypatch.context() as broken:
+        broken.setattr(rig.cell, "stop", lambda _category: 1 / 0)
+        with pytest.raises(ZeroDivisionError):
+            rig.runner.break_off(RuntimeError("no such tick"))
+    assert rig.journal.marks["latched"] is True
 
 
 def test_a_reset_that_comes_when_the_server_is_lost_leaves_the_stop_as_whoever_said_it_was_told(rig: Rig) -> None:

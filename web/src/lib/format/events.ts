@@ -220,7 +220,7 @@ const ENDS: Record<string, string> = {
   link: 'ended, as the cell had lost the server',
   control_lapsed: 'ended, as its holder fell silent',
   estop: 'by an emergency stop',
-  guard_broken: 'what guards the cell broke',
+  guard_broken: 'what guards the cell broke', loop_broken: 'what drives the cell broke',
   not_held: 'the arm moved while it was held',
   journal_unavailable: 'the cell could not write its journal',
   another_site: 'the robot works by another site than the policy; restart the cell',

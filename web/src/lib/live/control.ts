@@ -62,7 +62,7 @@ const TAKEN_AWAY: Record<string, string> = {
 };
 const CUT = 'The cell had lost the server: the robot came to rest, and what you drove is over.';
 /** What the banners of a stop and of a cell's fault tell already. */
-const TOLD = new Set(['estop', 'guard_broken', 'not_held']);
+const TOLD = new Set(['estop', 'guard_broken', 'loop_broken', 'not_held']);
 
 /**
  * Why the controls that were had by this lease are lost, in words: whatever took them, but what its holder or another
