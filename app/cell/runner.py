@@ -218,26 +218,29 @@ class Runner:
 
         One for the session that runs already changes whose hands it is in: to a human's (`takeover`), or back to its
         own capability. One that was meant for that (`anew`) begins no session once that one is over. Every refusal is
-        recorded, and says under which invocation where the signature was good.
+        recorded, and says under which invocation where the signature was good; an authorization that was refused is
+        used up.
         """
         try:
             grant = self._admit(signed)
         except PermitError as error:
-            return self._refuse(error.invocation, error.code, error.detail, error.permit)
+            used = {} if error.permit is None else {USED + error.permit: error.expires_at_s}
+            return self._refuse(error.invocation, error.code, error.detail, error.permit, used)
         permit = grant.authorization
+        used: dict[str, Json] = {USED + permit.id: permit.expires_at_s}
         if (why := self._not_now(grant, anew=anew)) is not None:
-            return self._refuse(permit.invocation, *why, permit.id)
-        used: dict[str, Json] = {USED + permit.id: permit.expires_at_s, "open": permit.invocation}
+            return self._refuse(permit.invocation, *why, permit.id, used)
+        launched: dict[str, Json] = {**used, "open": permit.invocation}
         session = self._session
         try:
             if session is None:
                 self._record.require_room()
-                self._record.say_first(telling.launch(permit), marks=used)
+                self._record.say_first(telling.launch(permit), marks=launched)
                 self._record.sync()
             else:  # it may move: it waits for the disk once it stands, before anything is bound
-                self._record.say(telling.launch(permit), marks=used)
+                self._record.say(telling.launch(permit), marks=launched)
         except JournalUnavailable as error:
-            return self._refuse(permit.invocation, "journal_unavailable", str(error), permit.id)
+            return self._refuse(permit.invocation, "journal_unavailable", str(error), permit.id, used)
         return self._begin(grant) if session is None else self._change_hands(session, grant)
 
     def jog(self, invocation: str, lease: str, number: int, wish: Wish, actor: str) -> str | None:
@@ -461,10 +464,13 @@ class Runner:
             session.hand_back(grant)
             return None
         code = session.take_over(grant)
-        return None if code is None else self._refuse(permit.invocation, code, "nothing changed hands", permit.id)
+        return None if code is None else self._refuse(permit.invocation, code, "nothing changed hands", permit.id, {})
 
-    def _refuse(self, invocation: str | None, code: str, detail: str, permit: str | None = None) -> str:
-        self._record.say_anyway(telling.launch_refused(invocation, code, detail, permit))
+    def _refuse(
+        self, invocation: str | None, code: str, detail: str, permit: str | None, used: Mapping[str, Json]
+    ) -> str:
+        """Say that an authorization was refused. With that it is used up: said again, it begins nothing."""
+        self._record.say_anyway(telling.launch_refused(invocation, code, detail, permit), marks=used)
         return code
 
     def _begin(self, grant: Grant) -> str | None:

@@ -47,14 +47,16 @@ class PermitError(GovernanceError):
         detail: What was found and what would be valid.
         invocation: Which invocation it was for, once the signature was found good; None before that.
         permit: Which authorization it is, likewise.
+        expires_at_s: When that expires, wall time in seconds.
     """
 
-    def __init__(self, code: PermitCode, detail: str, invocation: str | None = None, permit: str | None = None) -> None:
-        """Keep the facts; the message is made of them."""
+    def __init__(self, code: PermitCode, detail: str, permit: Authorization | None = None) -> None:
+        """Keep the facts, and whose they are; the message is made of them."""
         self.code: PermitCode = code
         self.detail = detail
-        self.invocation = invocation
-        self.permit = permit
+        self.invocation = None if permit is None else permit.invocation
+        self.permit = None if permit is None else permit.id
+        self.expires_at_s = math.inf if permit is None else permit.expires_at_s
         super().__init__(f"{code}: {detail}")
 
 
@@ -128,7 +130,7 @@ def verify(
         cell: Name of the cell that verifies.
         policy_digest: Digest of the policy the cell holds.
         now_s: Wall time, seconds since the epoch.
-        used: Identifiers of permits this cell has bound before.
+        used: Identifiers of permits this cell has bound or refused before.
         forgotten_s: The latest expiry of those that are not among them any more: whether a permit that expires no later
             was bound, nobody here knows, and it had expired once already, whatever the clock says now.
         former: Digests of policies that were in force before and are held here still: a permit that was minted right
@@ -161,11 +163,15 @@ def verify(
             not permit.expires_at_s > forgotten_s,
             f"permit expired at `{permit.expires_at_s}`: it is `{now_s}`, but this cell's clock was beyond that before",
         ),
-        ("used", permit.id in used, f"permit `{permit.id}` was bound before; a permit is good for one launch"),
+        (
+            "used",
+            permit.id in used,
+            f"permit `{permit.id}` was bound or refused before; a permit is good for one launch",
+        ),
     )
     for code, refused, detail in checks:
         if refused:
-            raise PermitError(code, detail, permit.invocation, permit.id)
+            raise PermitError(code, detail, permit)
     return Grant(authorization=permit, _proof=_PROOF)
 
 

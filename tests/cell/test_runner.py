@@ -147,6 +147,46 @@ def test_a_permit_is_good_once_even_after_a_restart(rig: Rig, tmp_path: Path) ->
     rig.launch(id="auth-2")
 
 
+REFUSED: dict[str, tuple[Callable[[Rig], object], Callable[[Rig], object]]] = {
+    "wrong_policy": (
+        lambda rig: rig.runner.adopt(policy_digest="sha256:other", key=KEY.public_key()),
+        lambda rig: rig.runner.adopt(policy_digest=DIGEST, key=KEY.public_key()),
+    ),
+    "not_yet_valid": (lambda rig: setattr(rig, "now_s", NOW_S - 10.0), lambda rig: setattr(rig, "now_s", NOW_S + 1.0)),
+    "expired": (lambda rig: setattr(rig, "now_s", NOW_S + 90.0), lambda rig: setattr(rig, "now_s", NOW_S + 1.0)),
+    "holding": (lambda rig: rig.runner.hold("link"), lambda rig: rig.runner.welcomed()),
+    "estop_latched": (lambda rig: rig.runner.estop("anyone"), lambda rig: rig.runner.reset("operator")),
+    "busy": (lambda rig: rig.launch(id="auth-0", invocation="inv-0"), Rig.finish),
+    "no_such_session": (lambda _: None, lambda _: None),
+}
+
+
+@pytest.mark.parametrize("restarted", [False, True])
+@pytest.mark.parametrize("code", REFUSED)
+def test_an_authorization_that_was_refused_begins_nothing_when_it_is_said_again(
+    rig: Rig, tmp_path: Path, code: str, restarted: bool
+) -> None:
+    before, after = REFUSED[code]
+    before(rig)
+    assert rig.runner.launch(signed(), anew=code == "no_such_session") == code
+    after(rig)
+    if restarted:
+        rig.journal.close()
+        rig.journal = Journal(tmp_path / "journal", boot="boot-2")
+        rig.runner = rig.start()
+    assert rig.runner.launch(signed()) == "used"
+    assert rig.runner.invocation is None
+
+
+def test_what_no_journal_took_of_a_refusal_counts_all_the_same(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
+    disk = BrokenDisk(rig, monkeypatch)
+    disk.broken = True
+    assert rig.runner.launch(signed()) == "journal_unavailable"
+    disk.broken = False
+    assert rig.runner.launch(signed()) == "used"
+    rig.launch(id="auth-2")
+
+
 def test_a_second_launch_while_one_runs_is_refused(rig: Rig) -> None:
     rig.launch()
     assert rig.runner.launch(signed(id="auth-2", invocation="inv-2")) == "busy"
@@ -1391,7 +1431,7 @@ def test_nothing_launches_while_the_cell_holds(rig: Rig) -> None:
     rig.runner.hold("link")
     assert rig.runner.launch(signed()) == "holding"
     rig.runner.welcomed()
-    rig.launch()
+    rig.launch(id="auth-2")
 
 
 def test_a_pause_does_not_end_by_itself_while_the_link_is_lost(rig: Rig) -> None:
