@@ -26,6 +26,7 @@ from app.api.wire import (
     ReleaseBody,
     ResetBody,
     ResolveBody,
+    TakeBody,
     read_body,
     read_optional,
 )
@@ -151,16 +152,19 @@ async def reset(request: Request, id: Identifier) -> Response:
 async def takeover(request: Request, id: Identifier) -> Response:
     """Take the controls of a session: it comes to rest, and whoever holds the lease drives, hold-to-run.
 
-    One lease for each cell. Who stands at the cell (a token with that station) pre-empts who does not.
+    One lease for each cell. Who stands at the cell (a token with that station) pre-empts who does not. With `after`,
+    refused where it would end a pause that came since that event.
     """
-    await read_optional(request, EmptyBody)
-    return answer(await parts_of(request).governor.take_over(id, caller(request)))
+    body = await read_optional(request, TakeBody)
+    within_the_log(request, "after", body.after)
+    return answer(await parts_of(request).governor.take_over(id, caller(request), body.after))
 
 
 async def take_cell(request: Request, id: Identifier) -> Response:
-    """Take the controls of an idle cell, as an invocation of its own."""
-    await read_optional(request, EmptyBody)
-    return answer(await parts_of(request).governor.take_cell(id, caller(request)))
+    """Take the controls of an idle cell, as an invocation of its own; `after` as in the takeover of a session."""
+    body = await read_optional(request, TakeBody)
+    within_the_log(request, "after", body.after)
+    return answer(await parts_of(request).governor.take_cell(id, caller(request), body.after))
 
 
 async def release(request: Request, id: Identifier) -> Response:
@@ -252,7 +256,7 @@ def _sessions(router: APIRouter) -> None:
 
 def _controls(router: APIRouter) -> None:
     present = ("control_held", "ending", "cell_offline", "estop_latched")
-    taking = (*present, "takeover_not_enabled", "takeover_refused")
+    taking = (*present, "takeover_not_enabled", "takeover_refused", "overtaken")
     refused = ("nothing_to_resume", "resume_refused", "facts_stale", "paused")
     returning = (*present, "not_taken_over", "overtaken", *refused)
     declare(
@@ -260,14 +264,14 @@ def _controls(router: APIRouter) -> None:
         "POST /v1/invocations/{id}/takeover",
         takeover,
         Answers(model=documents.LeaseDocument, codes=(*SESSION_CODES, *taking, "record_unavailable")),
-        body=EmptyBody,
+        body=TakeBody,
     )
     declare(
         router,
         "POST /v1/cells/{id}/takeover",
         take_cell,
         Answers(model=documents.LeaseDocument, codes=(*CELL_CODES, *taking, "cell_busy", "wrong_status")),
-        body=EmptyBody,
+        body=TakeBody,
     )
     declare(
         router,

@@ -190,6 +190,12 @@ class LoosenBody(Body):
     after: Seen = None
 
 
+class TakeBody(Body):
+    """The controls are wanted; with `after`, not where that would end a pause that came later."""
+
+    after: Seen = None
+
+
 class ReleaseBody(Body):
     """What becomes of a session that is handed back."""
 

@@ -1,4 +1,4 @@
-"""Whether a word on which something moves was overtaken by other people's, or by a pause."""
+"""Whether a word on which something moves, or that ends a pause, was overtaken by other people's, or by a pause."""
 
 from __future__ import annotations
 
@@ -40,6 +40,26 @@ async def check_newest(register: Register, cell: Cell, invocation: str, principa
     if newer:
         who, word = newer[-1]
         raise Conflict("overtaken", f"`{who}` said `{word}` after the event `{after}`; valid: look, and say it anew")
+
+
+async def check_pause(register: Register, cell: Cell, invocation: str, after: int) -> None:
+    """Refuse a word that would end a pause of which its speaker had not seen: anybody's, and no other word.
+
+    Args:
+        register: where what was said is read.
+        cell: the cell that is to be told.
+        invocation: whose session it is about.
+        after: the last `seq` of the record that they had seen.
+
+    Raises:
+        Conflict: `overtaken`.
+    """
+    if not cell.paused(invocation):
+        return
+    said = await events_of(register.store, invocation=invocation, after=after)
+    if (PAUSE, invocation) in cell.owed or any(_word(event) == PAUSE for event in said):
+        who = cell.paused_by(invocation) or "somebody"
+        raise Conflict("overtaken", f"`{who}` said `{PAUSE}` after the event `{after}`; valid: look, and say it anew")
 
 
 def _word(event: Event) -> str | None:

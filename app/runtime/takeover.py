@@ -24,6 +24,7 @@ from app.runtime.errors import Conflict
 from app.runtime.handback import Handbacks
 from app.runtime.hands import OPEN, taken
 from app.runtime.invocation import Invocation, Terms, reasons_document
+from app.runtime.overtaken import check_pause
 from app.runtime.uncut import uncut
 
 if TYPE_CHECKING:
@@ -42,13 +43,19 @@ class Takeovers(Handbacks):
     # -- taking ------------------------------------------------------------------------------------------------------
 
     @uncut
-    async def take_over(self, invocation_id: str, principal: Principal) -> dict[str, Any]:
+    async def take_over(self, invocation_id: str, principal: Principal, after: int | None = None) -> dict[str, Any]:
         """Take the controls of a session; returns the lease.
+
+        Args:
+            invocation_id: whose session.
+            principal: who takes them.
+            after: the last `seq` of the record that they had seen; None if they do not say.
 
         Raises:
             NotFound: there is none that this principal may see.
             Conflict: `wrong_status`, `takeover_not_enabled`, `control_held` (naming the holder), `ending`,
-                `cell_offline`, `takeover_refused` with policy's reasons.
+                `cell_offline`, `takeover_refused` with policy's reasons; `overtaken`, it would end a pause that they
+                had not seen.
             Forbidden: `role_forbidden`, they may do so no more once it is their turn.
             RecordUnavailable: nothing was recorded, and nobody has taken anything.
         """
@@ -66,7 +73,7 @@ class Takeovers(Handbacks):
         document, mine = cell.control_document() or {}, cell.takings
         try:
             if how is Taking.GRANTED:
-                await self._change_hands(cell, present.id, principal, decided, document)
+                await self._change_hands(cell, present.id, principal, decided, document, after)
             else:
                 if how is Taking.PREEMPTED:
                     self._still(cell)
@@ -83,10 +90,11 @@ class Takeovers(Handbacks):
         return document
 
     @uncut
-    async def take_cell(self, cell_id: str, principal: Principal) -> dict[str, Any]:
+    async def take_cell(self, cell_id: str, principal: Principal, after: int | None = None) -> dict[str, Any]:
         """Take the controls of a cell that is idle, or driven by hand already; returns the lease.
 
         Of two who want it, the second waits until the first is in the record, and then meets who has it.
+        `after` counts there, as in `take_over`.
 
         Raises:
             NotFound: no such cell.
@@ -103,7 +111,7 @@ class Takeovers(Handbacks):
         known = self.register.newest(busy)
         if known is None or known.capability != TAKEOVER:
             raise Conflict("cell_busy", f"the cell `{cell.id}` runs `{busy}`; valid: take that over")
-        return await self.take_over(busy, principal)
+        return await self.take_over(busy, principal, after)
 
     async def _take_idle(self, cell: Cell, principal: Principal) -> dict[str, Any]:
         self._allow_takeover(self.fleet.profile(cell))
@@ -179,12 +187,20 @@ class Takeovers(Handbacks):
             await self.register.append([word], versions=versions)
 
     async def _change_hands(
-        self, cell: Cell, invocation: str, principal: Principal, decided: Moment, document: Mapping[str, Any]
+        self,
+        cell: Cell,
+        invocation: str,
+        principal: Principal,
+        decided: Moment,
+        document: Mapping[str, Any],
+        after: int | None,
     ) -> None:
         entry, mine = self.register.entry(invocation), cell.takings
         if entry is None:
             raise Conflict("wrong_status", f"`{invocation}` has ended")
         async with entry.lock:
+            if after is not None:
+                await check_pause(self.register, cell, invocation, after)
             present = entry.newest
             if present.status not in SESSION:
                 raise Conflict("wrong_status", f"`takeover` is not possible while the invocation is `{present.status}`")

@@ -439,6 +439,28 @@ def test_a_rollback_that_a_link_held_back_ends_no_pause_that_came_meanwhile(
     assert (server.cell()["status"], server.cell()["control"]["phase"]) == ("paused", "held")
 
 
+def test_a_takeover_that_a_link_held_back_ends_no_pause_that_came_meanwhile(
+    server: ServerProcess, people: People, floor: Floor
+) -> None:
+    person = people.sit(server)
+    person.expects("409")
+    drive = floor.drive_off()
+    person.press("t")
+    panel = person.region("Drive by hand")
+    expect(panel).to_contain_text(HOLDS)
+    held: list[Route] = []
+    person.page.route("**/takeover", lambda route: held.append(route))  # noqa: PLW0108 (Playwright takes no built-in)
+    person.button("Take the controls").click()
+    until(lambda: held or person.page.wait_for_timeout(20), what="a word that is held")
+    assert server.post(f"/v1/invocations/{drive['id']}/pause", key="operator_2").is_success
+    held[0].continue_()
+    expect(panel.get_by_role("alert")).to_contain_text("“operator_2” said “pause”")
+    assert (server.cell()["status"], server.cell()["control"]) == ("paused", None)
+    person.page.unroute("**/takeover")
+    person.button("Take the controls and end the pause").click()
+    expect(person.page.get_by_text(LET_GO)).to_be_visible()
+
+
 def test_the_controls_of_an_idle_cell_that_come_when_it_was_left_are_given_back(
     server: ServerProcess, people: People, floor: Floor
 ) -> None:

@@ -82,6 +82,35 @@ async def test_a_rollback_by_hand_ends_no_pause_that_its_holder_had_not_seen(
     assert (await back)["takeover"]["state"] == "returned"
 
 
+async def test_a_takeover_ends_no_pause_that_its_taker_had_not_seen(
+    runtime: Runtime, cell: HandCell, driving: str
+) -> None:
+    seen, launched = runtime.store.size, len(cell.all("launch"))
+    await runtime.governor.pause(driving, OPERATOR_2)
+    error = await refused(runtime.governor.take_over(driving, OPERATOR, seen))
+    assert (error.code, OPERATOR_2.name in str(error), runtime.fleet.cell(CELL).control) == ("overtaken", True, None)
+    await cell.report("human", driving, op="pause")
+    await cell.report("status", driving, status="paused", reason="operator")
+    assert (await refused(runtime.governor.take_cell(CELL, OPERATOR, seen))).code == "cell_busy"
+    assert (await refused(runtime.governor.take_over(driving, OPERATOR, seen))).code == "overtaken"
+    assert len(cell.all("launch")) == launched
+    await runtime.governor.take_over(driving, OPERATOR, runtime.store.size)
+    assert runtime.fleet.cell(CELL).control is not None
+
+
+async def test_a_takeover_that_ends_no_pause_needs_to_have_seen_nothing(
+    runtime: Runtime, cell: HandCell, driving: str
+) -> None:
+    seen = runtime.store.size
+    await runtime.governor.pause(driving, OPERATOR_2)
+    await cell.report("human", driving, op="pause")
+    await cell.report("status", driving, status="paused", reason="operator")
+    await runtime.governor.resume(driving, OPERATOR_2)
+    await cell.report("human", driving, op="resume")
+    await cell.report("status", driving, status="running", reason="operator")
+    assert (await runtime.governor.take_over(driving, OPERATOR, seen))["invocation"] == driving
+
+
 async def test_what_was_launched_before_a_takeover_and_is_told_of_after_it_ends_no_takeover(
     runtime: Runtime, cell: HandCell
 ) -> None:

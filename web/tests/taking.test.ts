@@ -7,7 +7,7 @@ async function taken(running: string | null, looks: boolean, gone: boolean): Pro
   const done: string[] = [];
   const control: Control = { lease: 'lease_1', holder: 'ann', where: 'remote', since: '', invocation: running ?? 'inv_idle' };
   let answer: (of: Control) => void = () => undefined;
-  const come = (): Promise<Control> => new Promise((resolve) => (answer = resolve));
+  const come = (_: string, after: number): Promise<Control> => new Promise((resolve) => (answer = after === 7 ? resolve : () => undefined));
   const of: Asking = {
     api: { takeOver: come, takeCell: come, release: (id, then) => Promise.reject(new Error(String(done.push(`${then} ${id}`)))) },
     looksAt: () => looks,
@@ -15,7 +15,7 @@ async function taken(running: string | null, looks: boolean, gone: boolean): Pro
     took: (lease) => done.push(lease),
     cameLate: (cell) => done.push(`late ${cell}`),
   };
-  const asked = takeControls(of, 'workcell-1', running);
+  const asked = takeControls(of, 'workcell-1', running, 7);
   answer(control);
   await asked;
   return done;

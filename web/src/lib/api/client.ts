@@ -184,9 +184,10 @@ export class Api {
   loosen = (id: string, word: 'resume' | 'rollback', after: number): Promise<Invocation> =>
     this.call('POST', `/v1/invocations/${seg(id)}/${word}`, { after });
 
-  takeOver = (id: string): Promise<Control> => this.call('POST', `/v1/invocations/${seg(id)}/takeover`);
+  /** `after` is what was seen: what a link holds back ends no pause that came since. */
+  takeOver = (id: string, after: number): Promise<Control> => this.call('POST', `/v1/invocations/${seg(id)}/takeover`, { after });
   /** Takes the controls of a cell in which nothing runs. */
-  takeCell = (cell: string): Promise<Control> => this.call('POST', `/v1/cells/${seg(cell)}/takeover`);
+  takeCell = (cell: string, after: number): Promise<Control> => this.call('POST', `/v1/cells/${seg(cell)}/takeover`, { after });
   /** `lease` is what it was driven by, `after` what was seen: what a link holds back hands nothing back that was taken, or paused, since. */
   release = (id: string, then: 'resume' | 'rollback' | 'end', lease?: string, after?: number): Promise<Invocation> =>
     this.call('POST', `/v1/invocations/${seg(id)}/release`, { then, lease, after }, { restrains: then === 'end' });

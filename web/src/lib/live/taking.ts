@@ -13,12 +13,12 @@ export interface Asking {
 }
 
 /**
- * Takes the controls of a cell, or of the session that runs there. Those of an idle cell that come when nobody looks at it
- * are given back at once. Those of a session are not: on that it would go on. Who is still here may go back to it; left
- * alone it waits for a person.
+ * Takes the controls of a cell, or of the session that runs there, by what was seen up to the event `after`. Those of an
+ * idle cell that come when nobody looks at it are given back at once. Those of a session are not: on that it would go
+ * on. Who is still here may go back to it; left alone it waits for a person.
  */
-export async function takeControls(of: Asking, cell: string, running: string | null): Promise<void> {
-  const { lease, invocation } = await (running === null ? of.api.takeCell(cell) : of.api.takeOver(running));
+export async function takeControls(of: Asking, cell: string, running: string | null, after: number): Promise<void> {
+  const { lease, invocation } = await (running === null ? of.api.takeCell(cell, after) : of.api.takeOver(running, after));
   if (of.looksAt(cell) || (running !== null && !of.gone())) of.took(lease);
   else if (running === null && invocation !== null) {
     of.cameLate(cell);
