@@ -5,8 +5,8 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.ready
 NODE := $(VENV)/.node
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
-# What runs under coverage. The comparison with other implementations is slow there, and adds nothing.
-COMPARED := tests/governance/test_expression_properties.py
+# What runs under coverage. Comparisons, with other implementations or of one with the other, are slow there, and add nothing.
+COMPARED := $(patsubst %,tests/governance/test_%.py,expression_properties bundle_misfits detectors)
 MEASURED := $(filter-out $(COMPARED),$(wildcard tests/governance/test_*.py tests/audit/test_*.py))
 TYPINGS := typings/mujoco/__init__.pyi
 
@@ -53,7 +53,7 @@ run: setup  ## a server with one simulated cell and a demo agent; keeps running
 	@$(BIN)/reins demo --keep --port 8000
 
 test: setup  ## the whole test suite; what decides is covered to the last branch
-	@$(MAKE) --no-print-directory --keep-going -j5 test-served test-console test-evaluation test-campaigns test-runtime $(COMPUTING)
+	@$(MAKE) --no-print-directory --keep-going -j5 test-served test-console test-runtime test-evaluation test-campaigns $(COMPUTING)
 
 # For two cores, five at a time, the longest first. What starts servers and cells mostly waits, and so does what drives a
 # robot at a console: one lane each, as long as the other, and a third for what serves within one process. Leases of
