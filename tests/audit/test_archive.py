@@ -6,6 +6,7 @@ import hashlib
 import os
 import socket
 import sqlite3
+from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -79,6 +80,15 @@ async def test_tail_finds_the_last_events_that_hold_words_however_far_back(store
     assert [event.seq for event in show(data, "inv_2", Words("here"))] == [1104]
     assert show(data, "inv_2", Words("there")) == []
     assert tail(data, words=Words("there")) == ([], 1107)
+
+
+async def test_an_event_that_cannot_be_read_is_not_passed_over_in_a_search(store: AuditStore, data: Path) -> None:
+    await store.append([draft(mark="here"), draft(), draft()])
+    with closing(sqlite3.connect(store.places.database)) as database:
+        database.execute("DROP TRIGGER events_refuse_update")
+        database.execute("UPDATE events SET body = '{' WHERE seq = 2")
+        database.commit()
+    assert [event.seq for event in tail(data, words=Words("here")).events] == [1, 2]
 
 
 async def test_an_export_can_be_checked_without_this_program(store: AuditStore, data: Path, tmp_path: Path) -> None:
