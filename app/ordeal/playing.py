@@ -30,6 +30,7 @@ _WORDS: Final[Mapping[str, float]] = {
     "launch": 6, "hand": 2, "back": 1.5, "jog": 3, "pause": 3, "resume": 3, "stop": 1, "rollback": 1.5, "cancel": 0.7,
     "confirm": 1, "resolve_continue": 2.5, "resolve_terminate": 0.5, "let_go": 0.7, "end_takeover": 0.5,
     "escalate": 0.7, "estop": 0.7, "reset": 2, "lose": 0.7, "welcome": 2, "again": 0.5, "stranger": 0.5, "disk": 0.3,
+    "break": 0.2,
 }  # fmt: skip
 
 

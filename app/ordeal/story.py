@@ -197,7 +197,8 @@ class Story:
         """Launch by a permit that was used, or refused, before."""
         if self.permits:
             signed, anew = draw.choice(self.permits)
-            self.runner.launch(signed, anew=anew)
+            if self.runner.launch(signed, anew=anew) is None:
+                raise BrokenInvariant("a permit is good once", "it began something when it was said again")
 
     def fill(self, _: random.Random) -> None:
         """Have the journal's disk full, or not any more."""
@@ -287,6 +288,7 @@ _DEEDS: Final[Mapping[str, Callable[[Story, random.Random], object]]] = {
     "again": Story.repeat,
     "disk": Story.fill,
     "estop": lambda story, _: story.runner.estop("operator"),
+    "break": lambda story, _: story.runner.break_off(RuntimeError("nobody ticks any more")),
     "reset": lambda story, draw: story.runner.reset("operator", draw.choice((None, 0, story.tick))),
     "lose": lambda story, _: story.runner.hold("link"),
     "welcome": lambda story, _: story.runner.welcomed(),
