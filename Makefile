@@ -6,7 +6,7 @@ STAMP := $(VENV)/.ready
 NODE := $(VENV)/.node
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 # What runs under coverage. Comparisons, with other implementations or of one with the other, are slow there, and add nothing.
-COMPARED := $(patsubst %,tests/governance/test_%.py,expression_properties bundle_misfits detectors)
+COMPARED := $(patsubst %,tests/governance/test_%.py,expression_properties bundle_misfits)
 MEASURED := $(filter-out $(COMPARED),$(wildcard tests/governance/test_*.py tests/audit/test_*.py))
 TYPINGS := typings/mujoco/__init__.pyi
 
