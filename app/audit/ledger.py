@@ -32,6 +32,7 @@ from app.audit.rows import Batches, Insertion, Writing, primary_key, replacement
 from app.audit.schema import schema_problems
 from app.audit.tables import ON_CONNECT, STATE, STORE_GIVEN, checkpoints, events
 from app.audit.verification import verify_log
+from app.clock import rfc3339, wall_s
 from app.disk import displaced
 
 if TYPE_CHECKING:
@@ -39,6 +40,8 @@ if TYPE_CHECKING:
 
     from app.audit.event import Event, RowWrite, Submission
     from app.audit.verification import Progress
+
+PROBE_BYTES = 32 * 1024
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -165,8 +168,26 @@ class Ledger:
             self._due_outside = None
         self._check_names()  # what is refused below is in the database all the same, and would be again at every try
         self._file.catch_up()
-        self._batches.write(staged.writings)
+        try:
+            self._batches.write(staged.writings)
+        except Exception as error:
+            self._write_over(error)
+            raise
         self._check_names()  # what went into a file without a name is not recorded
+
+    def _write_over(self, failure: Exception) -> None:
+        """Put a probe where a batch may lie that could not be made durable, before anybody is told that it failed.
+
+        SQLite writes a transaction behind the last one that was committed, syncs it, and only then counts it. So a sync
+        that fails leaves a whole transaction there, which the next start would take for committed. Whatever is
+        written next begins in the same place. It may be refused a sync as well: nothing stands behind it then.
+        """
+        try:
+            self._connection.connection.rollback()
+            self._batches.write([self._replace["probes"].of([probe()])])
+        except Exception as error:
+            failure.add_note(f"what may be left of it could not be written over: {describe(error)}")
+            self._connection.connection.rollback()
 
     def displaced(self) -> str | None:
         """Return which file of the log is not the one under its name any more; in any thread."""
@@ -307,6 +328,11 @@ class Ledger:
         if head.size > size:
             return f"vouches for `{head.size}` events, the database has `{size}`: its end was cut off"
         return f"its last checkpoint, at `{head.size}`, is not among the database's last"
+
+
+def probe() -> dict[str, str | int | bytes | None]:
+    """Return the one row that is written to find out whether anything can be, and that says nothing."""
+    return {"id": 1, "at": rfc3339(wall_s()), "filler": bytes(PROBE_BYTES)}
 
 
 def connect(engine: sa.Engine) -> sa.Connection:

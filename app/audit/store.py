@@ -21,7 +21,7 @@ from app.audit.errors import AuditError, EventUnreadable, RecordDamaged, RecordU
 from app.audit.event import Event, EventDraft, RowWrite, Submission, prepare_all
 from app.audit.examination import WITHIN_S as EXAMINE_WITHIN_S
 from app.audit.examination import Examination, examine
-from app.audit.ledger import Ledger, Staged, describe
+from app.audit.ledger import Ledger, Staged, describe, probe
 from app.audit.places import Places
 from app.audit.reader import EventFilters, Page, Reader, Row
 from app.audit.rows import check_row
@@ -42,7 +42,6 @@ MAX_BATCH_EVENTS = 512  # bounds how long one batch keeps the event loop
 MAX_WAITING = 10_000
 PROBE_AFTER_S = 1.0
 PAUSE_S = 0.0005  # in which whoever reads all of the log steps aside, again and again
-PROBE_BYTES = 32 * 1024
 
 
 class AuditStore:
@@ -288,10 +287,9 @@ class AuditStore:
         return self._ledger.displaced() or full(self.places.folder, "record")
 
     def _write_probe(self) -> asyncio.Future[list[int]]:
-        values = {"id": 1, "at": rfc3339(wall_s()), "filler": bytes(PROBE_BYTES)}
-        probe = self._enqueue(Submission((), (RowWrite(table="probes", values=values),)))
-        probe.add_done_callback(lambda answer: answer.exception())  # what it says stands in the health already
-        return probe
+        written = self._enqueue(Submission((), (RowWrite(table="probes", values=probe()),)))
+        written.add_done_callback(lambda answer: answer.exception())  # what it says stands in the health already
+        return written
 
     # -- reading -----------------------------------------------------------------------------------------------------
 

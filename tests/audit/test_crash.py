@@ -11,9 +11,11 @@ from pathlib import Path
 
 import pytest
 
-from app.audit.archive import walk
+from app.audit.archive import verify_file, walk
 from app.audit.reader import Reader
 from app.audit.store import AuditStore
+from tests.audit.conftest import draft
+from tests.audit.unsynced_writer import NOT_HERE
 
 pytestmark = [pytest.mark.process, pytest.mark.anyio]
 
@@ -76,3 +78,19 @@ async def test_a_full_disk_refuses_and_recovers(data: Path) -> None:
     assert seen["healthy_again"]
     assert seen["next"] == seen["acknowledged"] + 1
     assert seen["verified_again"] is None
+
+
+async def test_what_was_refused_because_no_sync_succeeds_is_not_there_at_the_next_start(data: Path) -> None:
+    """SQLite leaves such a transaction whole in its WAL, where its next start takes it for committed."""
+    command = [sys.executable, "-m", "tests.audit.unsynced_writer", str(data)]
+    process = await asyncio.to_thread(subprocess.run, command, capture_output=True, text=True, timeout=60)
+    if process.returncode == NOT_HERE:
+        pytest.skip("this system lets nobody filter system calls")
+    assert (process.returncode, process.stdout) == (0, "disk I/O error"), process.stderr
+    store = AuditStore.open(data)
+    assert [event.payload()["said"] for event in await store.events()] == ["acknowledged"]
+    assert (await store.row("settings", name="profile") or {})["value"] == b"strict"
+    await store.append([draft(said="afterwards")])
+    assert (await store.verify()).ok
+    await store.close()
+    assert verify_file(data).ok
