@@ -170,6 +170,8 @@ async def take_cell(request: Request, id: Identifier) -> Response:
 async def release(request: Request, id: Identifier) -> Response:
     """Hand a session back: to go on from here (decided and bound anew), to be undone, or done with."""
     body = await read_body(request, ReleaseBody)
+    if body.then != "end":  # which counts whatever else is said
+        within_the_log(request, "after", body.after)
     return answer(await parts_of(request).governor.release(id, caller(request), body.then, body.lease, body.after))
 
 

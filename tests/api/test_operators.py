@@ -120,6 +120,9 @@ async def test_an_operator_pauses_resumes_and_stops_what_runs(house: House) -> N
         for body in ({"faster": True}, {"after": -1}, {"after": "3"}, {"after": 10**6}):
             refused = await operator.post(f"{place}/resume", json=body)
             assert (refused.status_code, refused.json()["code"]) == (422, "request_invalid"), body
+        for then, code in (("resume", "request_invalid"), ("rollback", "request_invalid"), ("end", "not_taken_over")):
+            refused = await operator.post(f"{place}/release", json={"then": then, "after": 10**6})
+            assert refused.json()["code"] == code, then
         overtaken = await operator.post(f"{place}/resume", json={"after": 1})
         assert (overtaken.status_code, overtaken.json()["code"]) == (409, "overtaken")
         assert (await operator.post(f"{place}/resume")).status_code == 200
