@@ -16,7 +16,7 @@ export default defineConfig({
     assetsInlineLimit: 0, // a data: address would need a wider content security policy
     chunkSizeWarningLimit: 1000,
   },
-  worker: { format: 'es' },
+  worker: { format: 'es', rolldownOptions: { output: { entryFileNames: 'assets/worker-[hash].js' } } }, // a name that the server sends its own policy with
   server: { proxy: { '/v1': { target: server, ws: true, changeOrigin: true } } },
   test: { include: ['tests/**/*.test.ts'], environment: 'node', isolate: false },
 });

@@ -62,8 +62,14 @@ PART_HEADERS: Final = tuple(
     for name, value in PAGE_HEADERS
     if name in {b"x-content-type-options", b"cross-origin-resource-policy"}
 )
-PARTS: Final = ("text/css", "font/")
-"""What a page is made of and never is one itself; a script may be a worker, and a picture may be opened alone."""
+PARTS: Final = ("text/css", "text/javascript", "font/")
+"""What a page is made of and never is one itself."""
+WORKER: Final = re.compile(r"assets/worker-[^/]+")
+"""A script that runs by itself: the policy of the page that begins it does not hold for it (HTML, "run a worker")."""
+WORKER_HEADERS: Final = (*PART_HEADERS, (b"content-security-policy", b"default-src 'none'; connect-src 'self'"))
+PICTURE: Final = "image/"
+PICTURE_HEADERS: Final = (*PART_HEADERS, (b"content-security-policy", b"default-src 'none'; frame-ancestors 'none'"))
+"""One may be opened alone, and is a document then, which has nothing to load or to run."""
 NOT_BUILT: Final = b"""<!doctype html>
 <html lang="en">
 <meta charset="utf-8">
@@ -85,12 +91,8 @@ class Page:
 
     media_type: str
     kept: str
+    headers: tuple[tuple[bytes, bytes], ...]  # what holds it to its own server
     forms: Mapping[str, bytes]
-
-    @property
-    def headers(self) -> tuple[tuple[bytes, bytes], ...]:
-        """Return what holds it to its own server."""
-        return PART_HEADERS if self.media_type.startswith(PARTS) else PAGE_HEADERS
 
     def response(self, accepted: str) -> Response:
         """Return the page in the best form that is accepted."""
@@ -110,12 +112,22 @@ def read_pages(folder: Path) -> dict[str, Page]:
     for path in sorted(folder.rglob("*")):
         name = path.relative_to(folder).as_posix()
         if path.is_file() and path.suffix not in ENCODINGS.values() and not path.name.startswith("."):
+            media_type = guess_type(name)[0] or "application/octet-stream"
             pages[name] = Page(
-                media_type=guess_type(name)[0] or "application/octet-stream",
+                media_type=media_type,
                 kept=FOR_GOOD if HASHED.fullmatch(name) else "no-cache",
+                headers=_headers(name, media_type),
                 forms=_forms(path),
             )
     return pages
+
+
+def _headers(name: str, media_type: str) -> tuple[tuple[bytes, bytes], ...]:
+    if WORKER.fullmatch(name):
+        return WORKER_HEADERS
+    if media_type.startswith(PICTURE):
+        return PICTURE_HEADERS
+    return PART_HEADERS if media_type.startswith(PARTS) else PAGE_HEADERS
 
 
 def _forms(path: Path) -> dict[str, bytes]:

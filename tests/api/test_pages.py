@@ -28,6 +28,7 @@ async def built(tmp_path_factory: pytest.TempPathFactory) -> AsyncIterator[House
     (folder / "assets" / "index-a1B2_c3-.js").write_bytes(SCRIPT)
     (folder / "assets" / "index-a1B2_c3-.js.br").write_bytes(PACKED)
     (folder / "assets" / "index-a1B2_c3-.js.gz").write_bytes(GZIPPED)
+    (folder / "assets" / "worker-c3D4_e5-.js").write_bytes(SCRIPT)
     (folder / "assets" / "plain.css").write_text("html {}")
     (folder / ".stamp").write_text("secret")
     with pytest.MonkeyPatch.context() as patch:
@@ -49,9 +50,8 @@ async def test_every_view_is_the_one_page_and_asks_for_no_token(built: House, pa
     assert answer.headers["cache-control"] == "no-cache"
 
 
-@pytest.mark.parametrize("path", ["/", "/icon.svg", "/assets/index-a1B2_c3-.js"])
-async def test_every_page_runs_nothing_but_its_own(built: House, path: str) -> None:
-    headers = (await ask(built, path)).headers
+async def test_every_page_runs_nothing_but_its_own(built: House) -> None:
+    headers = (await ask(built, "/")).headers
     policy = dict(rule.partition(" ")[::2] for rule in headers["content-security-policy"].split("; "))
     assert len(headers.get_list("content-security-policy")) == 1  # two would both be enforced
     assert policy["default-src"] == policy["frame-ancestors"] == policy["base-uri"] == "'none'"
@@ -63,11 +63,30 @@ async def test_every_page_runs_nothing_but_its_own(built: House, path: str) -> N
     assert headers["cross-origin-opener-policy"] == headers["cross-origin-resource-policy"] == "same-origin"
 
 
-async def test_what_a_page_is_made_of_is_for_its_own_server_alone_and_nothing_but_what_it_says(built: House) -> None:
-    headers = (await ask(built, "/assets/plain.css")).headers
+@pytest.mark.parametrize("path", ["/assets/plain.css", "/assets/index-a1B2_c3-.js"])
+async def test_what_a_page_is_made_of_is_for_its_own_server_alone_and_nothing_but_what_it_says(
+    built: House, path: str
+) -> None:
+    headers = (await ask(built, path)).headers
     assert headers["x-content-type-options"] == "nosniff"
     assert headers["cross-origin-resource-policy"] == "same-origin"
     assert "content-security-policy" not in headers
+
+
+@pytest.mark.parametrize(
+    ("path", "policy"),
+    [
+        ("/assets/worker-c3D4_e5-.js", "default-src 'none'; connect-src 'self'"),
+        ("/icon.svg", "default-src 'none'; frame-ancestors 'none'"),
+    ],
+)
+async def test_a_worker_speaks_to_its_server_alone_and_a_picture_to_nobody(
+    built: House, path: str, policy: str
+) -> None:
+    headers = (await ask(built, path)).headers
+    assert headers.get_list("content-security-policy") == [policy]
+    assert headers["x-content-type-options"] == "nosniff"
+    assert headers["cross-origin-resource-policy"] == "same-origin"
 
 
 async def test_the_api_keeps_its_own_headers(built: House) -> None:
