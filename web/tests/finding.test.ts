@@ -69,6 +69,26 @@ describe('what is looked for in the record', () => {
     expect([orders, finding.events]).toEqual([['newest', 'oldest'], []]);
   });
 
+  it('is kept where a search came no further, and the search goes on from there', async () => {
+    const [sight, looks] = [event('launch', {}), [] as (string | null)[]];
+    const searched = (seq: number): { events: number; seq: number; at: string } => ({ events: 50_000, seq, at: '2026-03-01T09:30:00.000Z' });
+    let down = false;
+    const broken = new Finding({
+      invocations: () => Promise.reject(new Error('nobody asked')),
+      events: (query) => {
+        looks.push(query.get('before'));
+        if (down) return Promise.reject(new ApiError({ title: '', status: 0, detail: 'no answer', code: 'unreachable' }));
+        down = looks.length === 1;
+        return Promise.resolve({ items: looks.length === 1 ? [sight] : [], next: looks.length === 1 ? 900 : null, searched: searched(900) });
+      },
+    });
+    await broken.look('events', { ...NOTHING_WANTED, text: 'here' });
+    expect([broken.events, broken.next, broken.looked.count, broken.why, broken.busy]).toEqual([[sight], 900, 50_000, 'No answer.', false]);
+    down = false;
+    await broken.more();
+    expect([broken.events, broken.next, broken.looked.count, broken.why, looks]).toEqual([[sight], null, 100_000, '', [null, '900', '900']]);
+  });
+
   it('is asked for no further once something else is, or the page is left', () => {
     void finding.look('events', { ...NOTHING_WANTED, text: 'here' });
     void finding.look('events', { ...NOTHING_WANTED, text: 'there' });

@@ -57,7 +57,7 @@ export class Finding {
     this.renewals += 1;
     const [turn, mine] = [this.turn, this.renewals];
     const found = await findSessions(this.api, this.asked, null).catch(() => null);
-    if (found === null || turn !== this.turn || mine !== this.renewals) return;
+    if (found === null || found.why !== '' || turn !== this.turn || mine !== this.renewals) return;
     ({ items: this.sessions, next: this.next, looked: this.looked } = renewed({ items: this.sessions, next: this.next, looked: this.looked }, found));
   }
 
@@ -75,16 +75,15 @@ export class Finding {
     try {
       const found = await (this.what === 'sessions' ? this.moreSessions(more) : this.moreEvents(more));
       if (mine !== this.turn) return;
-      found();
-      this.why = '';
+      this.why = found();
     } catch (error) {
       if (mine === this.turn) this.why = error instanceof ApiError ? error.message : String(error);
     }
     if (mine === this.turn) this.busy = false;
   }
 
-  /** Returns what puts the found ones on screen, if nothing else was asked for meanwhile. */
-  private async moreSessions(more: boolean): Promise<() => void> {
+  /** Returns what puts the found ones on screen, if nothing else was asked for meanwhile, and says why there are no more of them. */
+  private async moreSessions(more: boolean): Promise<() => string> {
     const from = more && typeof this.next === 'string' ? this.next : null;
     const found = await findSessions(this.api, this.asked, from, this.asking.signal);
     return () => {
@@ -92,16 +91,18 @@ export class Finding {
       this.sessions = [...before, ...found.items.filter(({ id }) => !before.some((listed) => listed.id === id))];
       this.next = found.next;
       this.looked = furtherBy(from === null ? NOTHING_LOOKED_AT : this.looked, found.looked);
+      return found.why;
     };
   }
 
-  private async moreEvents(more: boolean): Promise<() => void> {
+  private async moreEvents(more: boolean): Promise<() => string> {
     const from = more && typeof this.next === 'number' ? this.next : null;
     const found = await findEvents(this.api, this.asked, from, this.newestFirst, this.asking.signal);
     return () => {
       this.events = from === null ? found.items : [...this.events, ...found.items];
       this.next = found.next;
       this.looked = furtherBy(from === null ? NOTHING_LOOKED_AT : this.looked, found.looked);
+      return found.why;
     };
   }
 }

@@ -1,4 +1,4 @@
-import type { Api } from '../api/client';
+import { ApiError, type Api } from '../api/client';
 import type { EventList, Invocation, LogEvent } from '../api/documents';
 import { titleOf } from '../format/capability';
 import { outcomeWords, statusWords } from '../format/status';
@@ -93,28 +93,45 @@ export interface Found<T> {
   /** What continues; null at the end. */
   next: string | number | null;
   looked: Looked;
+  /** Why it was looked for no further; empty where nothing was in the way. */
+  why: string;
+}
+
+type Page<T> = Omit<Found<T>, 'why'>;
+
+/** Page after page, until there is enough. Where one does not come, what those before it held is kept, and `next` asks for it again. */
+async function paged<T>(from: Page<T>['next'], most: number, enough: number, read: (next: Page<T>['next']) => Promise<Page<T>>): Promise<Found<T>> {
+  const items: T[] = [];
+  let [next, looked] = [from, NOTHING_LOOKED_AT];
+  for (let page = 0; page < most; page += 1) {
+    try {
+      const found = await read(next);
+      items.push(...found.items);
+      [next, looked] = [found.next, furtherBy(looked, found.looked)];
+    } catch (error) {
+      if (page === 0 || !(error instanceof ApiError)) throw error;
+      return { items, next, looked, why: error.message };
+    }
+    if (next === null || items.length >= enough) break;
+  }
+  return { items, next, looked, why: '' };
 }
 
 /** Sessions, newest first. */
 export async function findSessions(api: Pick<Api, 'invocations'>, wanted: Wanted, cursor: string | null, until?: AbortSignal): Promise<Found<Invocation>> {
-  const items: Invocation[] = [];
-  let [next, looked] = [cursor, NOTHING_LOOKED_AT];
-  for (let page = 0; page < MOST_PAGES; page += 1) {
+  return paged<Invocation>(cursor, MOST_PAGES, 50, async (next) => {
     const query = new URLSearchParams({ limit: String(PAGE) });
     if (wanted.capability !== '') query.set('capability', wanted.capability);
     if (wanted.actor.trim() !== '') query.set('agent', wanted.actor.trim());
-    if (next !== null) query.set('cursor', next);
+    if (next !== null) query.set('cursor', String(next));
     const found = await api.invocations(query, until);
-    items.push(...found.items.filter((session) => matches(session, wanted)));
-    looked = furtherBy(looked, { count: found.items.length, at: found.items.at(-1)?.created_at ?? null });
-    next = typeof found.next === 'string' ? found.next : null;
-    if (next === null || items.length >= 50) break;
-  }
-  return { items, next, looked };
+    const looked = { count: found.items.length, at: found.items.at(-1)?.created_at ?? null };
+    return { items: found.items.filter((session) => matches(session, wanted)), next: typeof found.next === 'string' ? found.next : null, looked };
+  });
 }
 
 /** Returns what is listed, newest first, once its beginning was read anew: what was fetched behind that stays, as long as the two meet. */
-export function renewed(listed: Found<Invocation>, beginning: Found<Invocation>): Found<Invocation> {
+export function renewed(listed: Page<Invocation>, beginning: Page<Invocation>): Page<Invocation> {
   const fresh = new Set(beginning.items.map(({ id }) => id));
   const meet = listed.items.findLastIndex(({ id }) => fresh.has(id));
   const behind = meet === -1 || beginning.next === null ? [] : listed.items.slice(meet + 1);
@@ -130,16 +147,11 @@ export function newest(found: Invocation, known: Invocation | undefined): Invoca
 export async function findEvents(api: Pick<Api, 'events' | 'invocations'>, wanted: Wanted, from: number | null, newestFirst: boolean, until?: AbortSignal): Promise<Found<LogEvent>> {
   const under = wanted.capability === '' ? null : await idsOf(api, wanted.capability, until);
   const pages = wanted.text.trim() === '' ? MOST_PAGES : SEARCHED_PAGES;
-  const items: LogEvent[] = [];
-  let [next, looked] = [from, NOTHING_LOOKED_AT];
-  for (let page = 0; page < pages; page += 1) {
-    const found = await api.events(eventQuery(wanted, next, under === null ? PAGE : WIDE_PAGE, newestFirst), until);
-    items.push(...found.items.filter((event) => under === null || (event.invocation !== null && under.has(event.invocation))));
-    looked = furtherBy(looked, lookedAt(found));
-    next = typeof found.next === 'number' ? found.next : null;
-    if (next === null || items.length >= PAGE) break;
-  }
-  return { items, next, looked };
+  return paged<LogEvent>(from, pages, PAGE, async (next) => {
+    const found = await api.events(eventQuery(wanted, typeof next === 'number' ? next : null, under === null ? PAGE : WIDE_PAGE, newestFirst), until);
+    const items = found.items.filter((event) => under === null || (event.invocation !== null && under.has(event.invocation)));
+    return { items, next: typeof found.next === 'number' ? found.next : null, looked: lookedAt(found) };
+  });
 }
 
 function lookedAt({ items, searched }: EventList): Looked {
