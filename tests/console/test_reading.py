@@ -167,7 +167,7 @@ def test_what_happened_is_searched_by_words_from_the_newest_on_and_how_far_that_
     person.page.get_by_role("button", name="Search", exact=True).tap()
     person.button("Events").tap()
     expect(found.first).to_contain_text("Rejected. there is no capability polish_mirror")
-    expect(found.first.get_by_role("mark")).to_have_text(["polish_", "planner"])
+    expect(found.first.locator("mark")).to_have_text(["polish_", "planner"])
     expect(found.first).to_contain_text("context.agent: planner")
     assert wider_than_the_screen(person.page) == []
     person.button("Newest first: turn round").tap()
@@ -175,6 +175,10 @@ def test_what_happened_is_searched_by_words_from_the_newest_on_and_how_far_that_
     hostile(server, "polish_dish")
     person.button(re.compile(r"^\d+ newer: look again$")).tap()
     expect(found.last).to_contain_text("there is no capability polish_dish")
+
+    search.fill("Policy_Activated")
+    search.press("Enter")
+    expect(found.first.locator("mark")).to_have_text("policy_activated")  # the kind, as it is written in the log
 
     # A log that is longer than one look at it.
     far = {"events": 50_000, "seq": 9, "at": "2026-03-01T09:30:00.000Z"}
