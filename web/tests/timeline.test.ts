@@ -234,7 +234,7 @@ describe('a player', () => {
       player.seek(looked);
       expect(player.atS).toBe(looked);
       player.play();
-      for (const ms of [0, 1000]) frames.at(-1)?.(ms);
+      draw(frames, 0, 1000);
       expect(player.atS).toBeCloseTo(1);
       player.pause();
     }
@@ -247,12 +247,29 @@ describe('a player', () => {
     const player = new Player();
     player.load(recording(ASKED), -905);
     player.play();
-    for (const ms of [0, 5000, 6260, 10_000]) frames.at(-1)?.(ms);
+    draw(frames, 0, 10_000);
     expect(player.atS).toBeCloseTo(3.74); // 5 s to scale, 1.26 s for 15 minutes, 3.74 s to scale
-    frames.at(-1)?.(40_000);
+    draw(frames, 10_000, 40_000);
     expect([player.atS, player.playing]).toEqual([16, false]);
   });
+
+  it('goes on from what was last seen when its tab was hidden or the machine slept', () => {
+    const frames: FrameRequestCallback[] = [];
+    vi.stubGlobal('cancelAnimationFrame', () => undefined);
+    vi.stubGlobal('requestAnimationFrame', (next: FrameRequestCallback) => frames.push(next));
+    const player = new Player();
+    player.load(recording(new Axis(0, 10)), 0);
+    player.play();
+    draw(frames, 0, 1000);
+    draw(frames, 9000, 10_000);
+    expect([player.atS, player.playing]).toEqual([expect.closeTo(2), true]);
+  });
 });
+
+/** Draws a frame every tenth of a second. */
+function draw(frames: FrameRequestCallback[], fromMs: number, toMs: number): void {
+  for (let ms = fromMs; ms <= toMs; ms += 100) frames.at(-1)?.(ms);
+}
 
 const recording = (axis: Axis): Recording => ({ axis, fromS: axis.fromS, toS: axis.toS });
 

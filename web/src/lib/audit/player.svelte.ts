@@ -3,6 +3,9 @@ import { Axis } from './axis';
 export const SPEEDS = [0.5, 1, 2, 4] as const;
 export type Speed = (typeof SPEEDS)[number];
 
+/** Frames come sixty times a second. After a longer time without one the tab was hidden or the machine slept: nobody saw what passed. */
+const UNSEEN_S = 2;
+
 /** A recording: what is played of it, and where the first and the last of what was recorded lie. */
 export interface Recording {
   axis: Axis;
@@ -61,7 +64,8 @@ export class Player {
 
   private readonly step = (nowMs: number): void => {
     if (!this.playing) return;
-    const passedS = this.lastMs === null ? 0 : (nowMs - this.lastMs) / 1000;
+    const sinceS = this.lastMs === null ? 0 : (nowMs - this.lastMs) / 1000;
+    const passedS = sinceS > UNSEEN_S ? 0 : sinceS;
     this.lastMs = nowMs;
     // Nobody sits through a wait of minutes: what is folded goes by as fast as it is wide.
     const { axis } = this.record;
