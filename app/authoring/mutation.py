@@ -13,6 +13,7 @@ found none proves nothing.
 
 from __future__ import annotations
 
+import signal
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
@@ -208,6 +209,7 @@ _trial: Trial | None = None
 
 def _open(files: Mapping[str, str], case_files: Mapping[str, str]) -> None:
     global _trial  # noqa: PLW0603  # one per worker process, made before its first task
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for whoever waits: of a worker that dies they wait on
     _trial = Trial(files, case_files)
 
 

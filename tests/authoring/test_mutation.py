@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import multiprocessing
+import os
+import signal
 from functools import cache
 
 import pytest
@@ -120,14 +123,20 @@ def test_a_change_that_could_not_be_loaded_is_refused_and_says_why():
     assert "`approvers` belongs" in found.by
 
 
-def test_two_processes_find_what_one_finds(monkeypatch):
+def test_two_processes_find_what_one_finds_and_leave_an_interrupt_to_whoever_waits(monkeypatch):
     monkeypatch.setattr(mutation, "SHARE", 4)
     case_files = {"tests/organization.yaml": bundle.read_cases(POLICIES)["tests/organization.yaml"]}
     trial = Trial(files(), case_files)
     numbers = [number for number, mutant in enumerate(trial.mutants) if mutant.file == ORGANIZATION][1:40:4]
     alone = [trial.outcome(trial.mutants[number]).fate for number in numbers]
     told = []
-    found = mutation.fates(files(), case_files, numbers, processes=2, progress=lambda *done: told.append(done))
+
+    def interrupt_workers(*done):
+        told.append(done)
+        for worker in multiprocessing.active_children():
+            os.kill(worker.pid, signal.SIGINT)
+
+    found = mutation.fates(files(), case_files, numbers, processes=2, progress=interrupt_workers)
     assert [outcome.fate for outcome in found] == alone
     assert told == [(min(done, len(numbers)), len(numbers)) for done in range(4, len(numbers) + 4, 4)]
 
