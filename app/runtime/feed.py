@@ -92,6 +92,7 @@ class Feed:
         """Listen to a store."""
         self._store = store
         self._subscriptions: set[Subscription] = set()
+        self._closed = False
         self._end: Callable[[], None] = store.subscribe(self._publish)
 
     def _publish(self, events: tuple[Event, ...]) -> None:
@@ -100,9 +101,14 @@ class Feed:
 
     @contextmanager
     def subscribe(self, *, after: int | None = None) -> Generator[Subscription]:
-        """Listen inside the context: from the event behind `after` (a `seq`), or from now on."""
+        """Listen inside the context: from the event behind `after` (a `seq`), or from now on.
+
+        Once the feed is closed, what is returned has ended: whoever came for more would be waited for by the door.
+        """
         subscription = Subscription(self._store, after)
         self._subscriptions.add(subscription)
+        if self._closed:
+            subscription.close()
         try:
             yield subscription
         finally:
@@ -110,7 +116,8 @@ class Feed:
             subscription.close()
 
     def close(self) -> None:
-        """End every subscription."""
+        """End every subscription, and those that are asked for from now on."""
+        self._closed = True
         self._end()
         for subscription in tuple(self._subscriptions):
             subscription.close()

@@ -64,3 +64,13 @@ async def test_closing_the_feed_ends_every_listener(runtime: Runtime) -> None:
         await asyncio.sleep(0)
         runtime.feed.close()
         assert await reading == []
+
+
+async def test_who_comes_to_a_closed_feed_is_ended_at_once(runtime: Runtime) -> None:
+    """A stream that ended with the server is asked for anew, on a connection that is still open."""
+    await runtime.store.append(drafts(1))
+    runtime.feed.close()
+    for after in (None, 0):
+        with runtime.feed.subscribe(after=after) as subscription:
+            async with asyncio.timeout(5.0):
+                assert [batch async for batch in subscription] == []
