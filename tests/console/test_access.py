@@ -9,6 +9,7 @@ from urllib.parse import urlsplit
 import pytest
 from playwright.sync_api import Page, expect
 
+from app.api.pages import FOLDER, WORKER, read_pages
 from tests.conftest import ServerProcess
 from tests.console.conftest import (
     ANSWERS,
@@ -217,3 +218,11 @@ def test_on_a_phone_nothing_is_covered_while_one_is_asked_and_while_one_drives_a
     stop(person).tap()
     expect(person.page.get_by_text("Stopped, latched")).to_be_visible()
     assert server.cell()["latched"] is True
+
+
+def test_the_script_that_runs_by_itself_is_the_one_that_is_sent_with_a_policy_of_its_own() -> None:
+    built = read_pages(FOLDER)
+    named = rb"assets/worker-[\w-]+\.js"
+    begun = {name.decode() for page in built.values() for name in re.findall(named, page.forms[""])}
+    assert begun == {name for name in built if WORKER.fullmatch(name)}
+    assert len(begun) == 1
