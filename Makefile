@@ -71,7 +71,7 @@ PYTEST := $(BIN)/python -m pytest -p no:cacheprovider
 GIVING_WAY := nice -n 19
 
 # The lanes sync thousands of small databases, and on a disk each waits for all others to do so: in memory where there is
-# room (a run leaves 0.2 GB, of which pytest keeps the last three lanes). What kills processes and starts them again stays on disk.
+# room (a run leaves 0.2 GB, of which pytest keeps the last three lanes). The lane of processes stays on the disk that there is.
 ROOM := $(shell test -w /dev/shm && df -Pm /dev/shm | awk 'NR == 2 && $$4 >= 2048 {print "enough"}')
 ifeq ($(ROOM),enough)
 export PYTEST_DEBUG_TEMPROOT ?= /dev/shm
