@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import os
 import re
 import shutil
 import signal
@@ -26,7 +27,7 @@ from app.audit.store import AuditStore
 from app.cli import app, main
 from app.config import CELL_TOKEN_VARIABLE, CellSettings, ConfigError, Settings, find_policies
 from app.main import listen, operator_token, read_cell_token
-from app.terminal import plain
+from app.terminal import INTERRUPTED, plain
 from tests.agent.scripted_server import Turn, serve
 from tests.audit.conftest import draft, fill, hide_from_index
 from tests.governance.policy_world import POLICIES
@@ -550,3 +551,13 @@ def until_it_ended(lines: Iterable[str]) -> Iterator[str]:
         yield line
         if line.startswith("ended"):
             return
+
+
+@pytest.mark.process
+def test_ctrl_c_before_the_command_began_ends_it_without_a_word(tmp_path: Path) -> None:
+    early = "import os, signal\nos.kill(os.getpid(), signal.SIGINT)\n"
+    (tmp_path / "typer.py").write_text(early, encoding="utf-8")  # what the command imports first
+    command = [sys.executable, "-m", "app", "version"]
+    environment = {**os.environ, "PYTHONPATH": str(tmp_path)}
+    ended = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=90)
+    assert (ended.returncode, ended.stdout, ended.stderr) == (INTERRUPTED, "", "")
