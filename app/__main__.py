@@ -6,12 +6,13 @@ import sys
 
 
 def main() -> None:
-    """Import the command line and run it; importing takes long enough to be interrupted."""
+    """Import the command line and run it; until that reads its words, nobody there minds an interrupt."""
     try:
         from app.cli import main as run
+
+        run()
     except KeyboardInterrupt:
         sys.exit(130)  # `app.terminal.INTERRUPTED`, which may not be imported yet
-    run()
 
 
 if __name__ == "__main__":

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Final
 
 from app.audit.replay import Replay, replay, stretches, then_in_force
 from app.governance.bundle import load_files
+from app.interrupting import in_turn
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -42,8 +43,8 @@ def replay_in_processes(
         return _replay(data_dir, files, parts)
     whole = Replay()
     with ProcessPoolExecutor(len(parts), mp_context=get_context("spawn")) as pool:
-        for part in pool.map(_replay, [data_dir] * len(parts), [files] * len(parts), [[part] for part in parts]):
-            whole.add(part)
+        for replayed in in_turn(pool, _replay, ((data_dir, files, [part]) for part in parts)):
+            whole.add(replayed)
     return whole
 
 

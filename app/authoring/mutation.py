@@ -13,7 +13,6 @@ found none proves nothing.
 
 from __future__ import annotations
 
-import signal
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
@@ -30,6 +29,7 @@ from app.authoring.workbench import Workbench
 from app.governance import cases
 from app.governance.bundle_shapes import CaseShape
 from app.governance.errors import PolicyErrors
+from app.interrupting import in_turn
 
 if TYPE_CHECKING:
     from app.governance.model import Context, Proposal
@@ -209,7 +209,6 @@ _trial: Trial | None = None
 
 def _open(files: Mapping[str, str], case_files: Mapping[str, str]) -> None:
     global _trial  # noqa: PLW0603  # one per worker process, made before its first task
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for whoever waits: of a worker that dies they wait on
     _trial = Trial(files, case_files)
 
 
@@ -255,7 +254,7 @@ def fates(
         return [trial.outcome(trial.mutants[number]) for number in numbers]
     with ProcessPoolExecutor(processes, initializer=_open, initargs=(dict(files), dict(case_files))) as pool:
         found: list[Outcome] = []
-        for part in pool.map(_some, _shares(numbers)):
+        for part in in_turn(pool, _some, ((share,) for share in _shares(numbers))):
             found += part
             progress(len(found), len(numbers))
         return found

@@ -20,6 +20,8 @@ from multiprocessing import connection, get_context
 from types import ModuleType
 from typing import TYPE_CHECKING, Final, Protocol
 
+from app.interrupting import heard_here_alone
+
 if TYPE_CHECKING:
     from multiprocessing.context import SpawnProcess
 
@@ -58,7 +60,7 @@ class Worker:
         context = get_context("spawn")
         self.pipe, theirs = context.Pipe()
         self.process: SpawnProcess = context.Process(target=_serve, args=(work, theirs), daemon=True)
-        with _one_thread(), _by_itself():
+        with _one_thread(), _by_itself(), heard_here_alone():
             self.process.start()
         theirs.close()
         self.job: Job | None = None
@@ -172,8 +174,7 @@ def _settle(worker: Worker, waiting: deque[Job], deaths: dict[str, int], done: C
 
 
 def _serve(work: Work, pipe: connection.Connection) -> None:
-    """Run jobs until the parent is gone. Ctrl-C is the parent's to hear; when told to end, it tidies up."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    """Run jobs until the parent is gone; when told to end, tidy up."""
     signal.signal(signal.SIGTERM, _leave)
     try:
         run = work.open()

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from app.interrupting import in_turn
 from app.sim.proportion import wilson
 from app.sim.robot import HOME_RAD
 from app.sim.trial import Ran, run_skill
@@ -217,7 +218,8 @@ def soak(
     """
     scores: list[Score] = []
     with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
-        for done, result in enumerate(pool.map(trial, [site] * seeds, range(first, first + seeds)), start=1):
+        results = in_turn(pool, trial, ((site, seed) for seed in range(first, first + seeds)))
+        for done, result in enumerate(results, start=1):
             scores += result
             if progress:
                 progress(done, seeds)
