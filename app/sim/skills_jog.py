@@ -5,7 +5,8 @@ acceleration; the way down takes `STOP_S`, whatever the speed. The tool keeps it
 ahead is solved for by differential inverse kinematics, and where the arm does not get there, or only by a swing of its
 joints, it stays and says `unreachable` until the hand wants another way. A base that does not get on although it is
 driven has met something no sensor told of: it stops pushing, says `blocked`, and is driven again once the hand has let
-go of it.
+go of it. Onto a surface that is near the tool comes down as slowly as any skill does: stopped when it touches at full
+speed, it has pressed twice as hard as it may by then.
 """
 
 from __future__ import annotations
@@ -17,7 +18,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from app.governance.model import CONTROL_PERIOD_S, Command, SkillReport, Wish
-from app.sim.body import OPEN_N, OPEN_WIDTH_M, PAD_TOUCH_TICKS, SOFT_CLOSE_N, Body
+from app.sim.body import (
+    CONTACT_NEAR_M,
+    CONTACT_SPEED_MPS,
+    OPEN_N,
+    OPEN_WIDTH_M,
+    PAD_TOUCH_TICKS,
+    SOFT_CLOSE_N,
+    Body,
+)
 from app.sim.motion import ARM_ACCELERATION, BASE_ACCELERATION, MARGIN
 from app.sim.skills_arm import number, remember_grip
 
@@ -28,6 +37,7 @@ if TYPE_CHECKING:
 CAPABILITY = "takeover"
 STOP_S = 0.05
 _JOINT_SPEED_RADPS = 1.2
+_CONTACT_MPS = MARGIN * CONTACT_SPEED_MPS
 _LARGEST_TURN_RADPS, _BASE_RADIUS_M = 0.8, 0.45
 _WITHIN_M = 1e-5  # a tenth of what the slowest hand moves the tool in a tick
 _SAME_WAY = 0.9  # cosine
@@ -86,7 +96,7 @@ class Jog:
         blocked = self._blocked()
         vx, vy, wz = self._base.follow(_RESTING if blocked else self._driven(wish.base))
         far = self._out_of_reach()
-        tool = self._tool.follow(_RESTING if far else _held(wish.tool, self._tool_mps))
+        tool = self._tool.follow(_RESTING if far else self._lowered(_held(wish.tool, self._tool_mps)))
         self._grip(wish.grip)
         moved = self._moved(tool, rate)
         if blocked or far:
@@ -118,6 +128,19 @@ class Jog:
         limit = min(_LARGEST_TURN_RADPS, self._base_mps / arm_m)
         share = min(1.0, self._base_mps / (hypot(vx, vy) + abs(wz) * arm_m or 1.0), limit / (abs(wz) or limit))
         return vx * share, vy * share, wz * share
+
+    def _lowered(self, wanted: Vec3) -> Vec3:
+        """Have the tool, and what it holds, come down slowly onto a surface that is near."""
+        x, y, z = wanted
+        if z >= -_CONTACT_MPS:
+            return wanted
+        body = self._body
+        below, hand = body.support_below(), body.senses.hand
+        hangs_m = hand.above_support_m if hand is not None and body.holding else 0.0
+        if below is None or body.pose.z_m - hangs_m - below > CONTACT_NEAR_M:
+            return wanted
+        share = _CONTACT_MPS / -z
+        return x * share, y * share, z * share
 
     def _moved(self, tool: Vec3, rate: float) -> Command:
         """Return the arm's part: a step of the tool along its velocity."""

@@ -132,7 +132,7 @@ def test_a_hand_that_is_slow_moves_the_tool_as_slowly(tmp_path: Path) -> None:
 def test_a_hand_that_has_met_something_leads_the_tool_off_it_and_not_onto_it_again(tmp_path: Path) -> None:
     shop, console = idle(tmp_path)
     console.hold(Wish(tool=(0.25, 0.0, 0.0)), 60)
-    console.press(Wish(tool=(0.0, 0.0, -0.25)), 130)  # onto the bench
+    console.press(Wish(tool=(0.0, 0.0, -0.25)), 250)  # onto the bench
     assert refused(shop) == "grip-force"
     console.release()
     console.tick(60)
@@ -142,6 +142,24 @@ def test_a_hand_that_has_met_something_leads_the_tool_off_it_and_not_onto_it_aga
         pressing_n.append(shop.cell.truth().contact_force_n)
     assert max(pressing_n) < 5.0
     assert shop.cell.truth().tcp_m[2] > met_m + 0.005
+
+
+@pytest.mark.parametrize("aside", [0.0, 0.25])
+@pytest.mark.parametrize(("profile", "most_n", "out"), [("human-shared", 100.0, 60), ("real-restricted", 150.0, 25)])
+def test_a_hand_that_comes_down_on_a_bench_at_full_speed_presses_no_harder_than_it_may(
+    tmp_path: Path, profile: str, most_n: float, out: int, aside: float
+) -> None:
+    shop, console = idle(tmp_path, profile=profile)
+    console.hold(Wish(tool=(1.0, 0.0, 0.0)), out)
+    console.release()
+    down, pressing_n = Wish(tool=(aside, aside, -2.0)), [0.0]
+    for tick in range(400):
+        if tick % 5 == 0:
+            console.say(down)
+        console.tick()
+        pressing_n.append(shop.cell.glance().contact_force_n)
+    assert refused(shop) in ("grip-force", "contact-force"), shop.story()
+    assert 10.0 < max(pressing_n) < most_n, max(pressing_n)
 
 
 @pytest.mark.parametrize("wish", [Wish(base=(-1.0, 0.0, 0.0)), Wish(tool=(0.0, 0.0, 1.0)), Wish(base=(0.0, 0.0, 1.0))])
