@@ -87,6 +87,7 @@ def grasp_object(body: Body, params: Mapping[str, Json]) -> Moves:
         raise SubstrateError(
             "unreachable", f"`{name}` is {hypot(x, y):.2f} m from the base: drive to where it is in reach"
         )
+    resting_place(body)
     force = number(params, "force_n", 40.0) * 0.98
     return _grasp(
         body,
@@ -100,7 +101,7 @@ def grasp_object(body: Body, params: Mapping[str, Json]) -> Moves:
 def _grasp(body: Body, thing: SiteObject, guess: Glimpse, force_n: float, limit_mps: float) -> Moves:
     speed, slow = body.speed(limit_mps), min(body.speed(limit_mps), CONTACT_SPEED_MPS * (0.5 if body.careful else 0.95))
     body.enter("approach", 0.0)
-    yield from body.open()
+    yield from _emptied(body, limit_mps)
     grip = grip_for(thing, guess)
     yield from body.approach(grip.pose._replace(z_m=grip.top_m + HOVER_M), speed)
     body.enter("localise", 0.3)
@@ -130,6 +131,17 @@ def _grasp(body: Body, thing: SiteObject, guess: Glimpse, force_n: float, limit_
         raise SkillFailed("object_lost", f"`{thing.name}` slipped out of the grip")
     body.senses.tare()
     yield from body.wait(0.1)
+
+
+def _emptied(body: Body, limit_mps: float) -> Moves:
+    """Open the hand; what an attempt before this one left in it is put down first."""
+    below, hand = resting_place(body), body.senses.hand
+    if below is not None and hand is not None:
+        stretch, body.stretch = body.stretch, (body.stretch[0], body.stretch[0])  # nothing of the task is done by that
+        yield from put_down(body, below, hand, limit_mps)
+        body.stretch = stretch
+        body.enter("approach", 0.0)
+    yield from body.open()
 
 
 def _loss_of(body: Body) -> Callable[[], bool]:
@@ -247,6 +259,21 @@ def _clear_of_others(body: Body, support_z_m: float, spot: Point, hand: Hand) ->
         if name != hand.name and near_segment((seen.x_m, seen.y_m), here, spot) < SPOT_FREE_M
     ]
     return max(tops, default=0.0) + BESIDE_M
+
+
+def resting_place(body: Body) -> float | None:
+    """Return the height of what is below that the hand can put down on it what it holds; None where it holds nothing.
+
+    Raises:
+        SubstrateError: `placement_failed`, it holds something, and there is nothing below.
+    """
+    hand = body.senses.hand
+    if hand is None or not body.holding:
+        return None
+    below = body.support_below()
+    if below is None:
+        raise SubstrateError("placement_failed", f"the hand holds `{hand.name}`, and nothing is below to put it on")
+    return below
 
 
 def put_down(body: Body, support_z_m: float, hand: Hand, limit_mps: float) -> Moves:

@@ -13,7 +13,7 @@ from app.cell.substrate import SubstrateError
 from app.sim.body import CONTACT_SPEED_MPS, JOINT_SPEED_RADPS, Body, Moves, SkillFailed
 from app.sim.hand import MARK_MAX
 from app.sim.localisation import wrapped
-from app.sim.skills_arm import HOVER_M, LIFT_M, grasp_object, number, put_down, within_reach
+from app.sim.skills_arm import HOVER_M, LIFT_M, grasp_object, number, put_down, resting_place, within_reach
 from app.sim.skills_drive import RECOVERY_BASE_SPEED_MPS, RECOVERY_TCP_SPEED_MPS
 
 if TYPE_CHECKING:
@@ -33,15 +33,18 @@ _STANDS_RAD, _SHARP = 1e-4, 0.85  # a turn of more than 30 degrees is sharp
 
 
 def release_and_retract(body: Body, params: Mapping[str, Json]) -> Moves:
-    """Put down what is held onto what is below, open, rise, and draw the arm in."""
+    """Put down what is held onto what is below, open, rise, and draw the arm in.
+
+    Raises:
+        SubstrateError: `placement_failed`, nothing is below: what is held stays held.
+    """
     speed = number(params, "speed_mps", RECOVERY_TCP_SPEED_MPS)
-    return _release(body, speed)
+    return _release(body, resting_place(body), speed)
 
 
-def _release(body: Body, limit_mps: float) -> Moves:
+def _release(body: Body, below: float | None, limit_mps: float) -> Moves:
     speed = body.speed(limit_mps)
     hand = body.senses.hand
-    below = body.support_below()
     put = False
     if body.holding and hand is not None and below is not None:
         try:
@@ -92,13 +95,17 @@ def _way_it_came(body: Body) -> list[Floats]:
 
 
 def regrasp(body: Body, params: Mapping[str, Json]) -> Moves:
-    """Let go of what has slipped, rise, find it where it lies, and take hold of it again."""
-    return _regrasp(body, params, number(params, "speed_mps", RECOVERY_TCP_SPEED_MPS))
+    """Let go of what has slipped, rise, find it where it lies, and take hold of it again.
+
+    Raises:
+        SubstrateError: `placement_failed`, nothing is below: what is held stays held.
+    """
+    return _regrasp(body, params, resting_place(body), number(params, "speed_mps", RECOVERY_TCP_SPEED_MPS))
 
 
-def _regrasp(body: Body, params: Mapping[str, Json], limit_mps: float) -> Moves:
+def _regrasp(body: Body, params: Mapping[str, Json], below: float | None, limit_mps: float) -> Moves:
     body.stretch = (0.0, 0.5)
-    yield from _release(body, limit_mps)  # with the arm drawn in, the cameras see the bench
+    yield from _release(body, below, limit_mps)  # with the arm drawn in, the cameras see the bench
     body.stretch = (0.5, 1.0)
     try:
         again = grasp_object(body, params)

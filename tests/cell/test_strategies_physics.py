@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 from math import dist
 from pathlib import Path
 from typing import Any
@@ -47,6 +48,20 @@ def test_retry_gives_a_drive_that_hung_a_second_attempt(tmp_path: Path) -> None:
     assert (shop.rules(), shop.strategies()) == (["stall"], ["RETRY"])
     dock = shop.policy.site.targets["dock"]
     assert dist(shop.cell.truth().base[:2], (dock.x_m, dock.y_m)) < 0.05
+
+
+def test_a_new_attempt_puts_down_first_what_the_one_before_left_in_the_hand(tmp_path: Path) -> None:
+    shop = Workshop(tmp_path, faults=(fault("habit", grasping("verify"), 6.0, habit="hung"),))
+    shop.launch("grasp_object", object_id="glass_1", force_n=20.0, speed_mps=0.15)
+    heights_m: list[float] = []
+    while shop.runner.invocation is not None:
+        shop.runner.tick()
+        heights_m.append(shop.cell.plant.true_object("glass_1")[0][2])
+    assert shop.last("outcome")["outcome"] == "recovered"
+    assert (shop.rules(), shop.strategies()) == (["stall"], ["RETRY"])
+    fastest_mps = max(before - after for before, after in pairwise(heights_m)) / shop.cell.period_s
+    assert fastest_mps < 0.2  # what falls is faster after two centimetres
+    assert shop.cell.truth().held == "glass_1"
 
 
 def test_a_recovery_capability_stands_anew_after_something_unseen_held_the_base(tmp_path: Path) -> None:

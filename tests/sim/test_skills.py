@@ -107,6 +107,17 @@ def test_a_slow_retreat_is_slow_with_the_arm_too(site: Site) -> None:
     assert ran.base_speed_mps <= 0.05 * 1.05
 
 
+@pytest.mark.parametrize("skill", ["release_and_retract", "regrasp"])
+def test_what_hangs_over_the_floor_is_not_let_go_of(site: Site, skill: str) -> None:
+    cell = make_workcell(site, cell_id="floor", seed=FIRST)
+    mug = {"object_id": "mug_1", "force_n": 40.0}
+    assert run_skill(cell, "grasp_object", {**mug, "speed_mps": 0.25}).done
+    assert run_skill(cell, "safe_retreat", {}).done
+    ran = run_skill(cell, skill, mug if skill == "regrasp" else {})
+    assert (ran.failure, ran.seconds) == ("placement_failed", 0.0), ran
+    assert cell.truth().held == "mug_1"
+
+
 def test_a_base_far_from_every_stand_stays_where_it_is_to_be_tried_anew(site: Site) -> None:
     cell = make_workcell(site, cell_id="far", seed=FIRST)
     assert run_skill(cell, "navigate_to", {"x_m": 2.6, "y_m": 3.6, "yaw_rad": 1.57, "speed_mps": 0.6}).done
