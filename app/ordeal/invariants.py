@@ -5,7 +5,7 @@ from __future__ import annotations
 from math import dist, hypot
 from typing import TYPE_CHECKING, Final
 
-from app.cell.run import End
+from app.cell.run import Doing, End
 from app.governance.control import GOING_ON
 from app.governance.model import EventKind, Status
 from app.governance.session import TABLE
@@ -20,6 +20,9 @@ HELD_TICKS: Final = 250  # what is held stands by then: two seconds of braking a
 END_TICKS: Final = 350
 STILL_MPS, DRIFT_M, DRIFT_RAD, DRIFT_FINGERS_M = 0.03, 0.02, 0.06, 0.006
 ROUNDING: Final = 1.001
+UNTOLD_TICKS: Final = 800  # no shipped rule holds for more than 5 s before it asks, or takes more than 1 s to clear
+LET_GO_TICKS, FALLS_TICKS, FALLS_M = 20, 50, 0.03  # a glass that only topples comes down by less
+LOOSENS: Final = frozenset({"slippery", "payload_shift", "missing", "misplaced"})
 
 
 class BrokenInvariant(Exception):  # a finding, not an error of the program
@@ -45,6 +48,12 @@ class Invariants:
         self._stood: tuple[tuple[float, ...], ...] | None = None
         self._status: dict[str, str] = {}
         self._ended: dict[str, str] = {}
+        self._asked: set[str] = set()  # whose question has been put
+        self._untold = 0
+        self._open_until = self._falls_until = -1
+        self._in_hand: tuple[str, float] | None = None  # and at what height
+        self._let_go: tuple[str, float] | None = None
+        self._keeps = LOOSENS.isdisjoint(fault.kind for fault in story.scene.faults)
         sinks = any(fault.kind in ("fade", "payload_shift") for fault in story.scene.faults)
         self._arm_rad = 0.5 if sinks else DRIFT_RAD  # of an arm that its drives do not hold the cell cuts power itself
 
@@ -53,6 +62,7 @@ class Invariants:
         ending = isinstance(session.run.next, End) or session.over is not None
         _hold(op != "stop" or ending, "a stop is never lost", f"{refused}")
         _hold(op != "pause" or not session.run.moves(), "a pause is never lost", f"{refused}")
+        self._untold = self._untold if refused else 0  # somebody is there, and every wait begins anew
         if refused is None and op == "pause":
             self._paused = session
         elif refused is None and op in GOING_ON:
@@ -71,8 +81,12 @@ class Invariants:
             legal = before is None or Status(now) in TABLE[Status(str(before))].values()
             _hold(legal, "statuses follow the table", f"{body}")
             self._status[name] = now
+            self._asked.discard(name)
+        elif entry.kind == EventKind.ESCALATION:
+            self._asked.add(name)
         elif entry.kind == EventKind.OUTCOME:
             _hold(name not in self._ended, "a session ends once", f"{body}")
+            _hold(bool(body["code"]), "every end says why", f"{body}")
             self._ended[name] = str(body["outcome"])
 
     def after_tick(self) -> None:
@@ -82,6 +96,8 @@ class Invariants:
         self._latched(session)
         self._restrained(session)
         self._stands(session)
+        self._keeps_hold(session)
+        self._asks(session)
         self._is_recorded(session)
         self._was, self._rate, self._bounds = session, 0.0, None
         if session is not None:
@@ -144,6 +160,34 @@ class Invariants:
             off = dist(was, at) if what == "base" else max(abs(a - b) for a, b in zip(was, at, strict=True))
             _hold(self._held == 0 or off < most, f"a held {what} stays where it is", f"{off:.3f} off")
 
+    def _keeps_hold(self, session: Session | None) -> None:
+        """Look whether what was in the hand falls once it was let go of by anybody but a human at the controls."""
+        if not self._keeps:
+            return
+        plant, tick = self._story.cell.plant, self._story.tick
+        sent, held, by = self._story.cell.sent, plant.true_held(), self._was or session
+        if sent is not None and sent.grip_force_n <= 0.0 and (by is None or by.run.doing is not Doing.TAKEOVER):
+            self._open_until = tick + LET_GO_TICKS
+        if held is not None:
+            self._in_hand, self._let_go = (held, plant.true_object(held)[0][2]), None
+        elif self._in_hand is not None:
+            self._let_go = self._in_hand if tick < self._open_until else None
+            self._in_hand, self._falls_until = None, tick + FALLS_TICKS
+        if self._let_go is not None and tick < self._falls_until:
+            name, height_m = self._let_go
+            fell_m = height_m - plant.true_object(name)[0][2]
+            _hold(fell_m < FALLS_M, "what is let go of does not fall", f"{name} by {fell_m:.3f} m")
+
+    def _asks(self, session: Session | None) -> None:
+        """Look whether somebody is told where a session waits: a human who holds it, or drives it, knows."""
+        run = None if session is None else session.run
+        known = run is None or run.moves() or run.status is Status.ESCALATED or "operator" in run.paused_by
+        if known or session is None or session.steering is not None or self._story.runner.fault:
+            self._untold = 0
+            return
+        self._untold += 1
+        _hold(self._untold < UNTOLD_TICKS, "nothing waits without a word", f"{session.run.status}")
+
     def _is_recorded(self, session: Session | None) -> None:
         well = not self._story.disk.full and not self._story.runner.fault
         self._recorded = self._recorded + 1 if well else 0
@@ -155,6 +199,8 @@ class Invariants:
         if session is not None:
             said = self._status.get(session.run.id)
             _hold(said == session.run.status, "the record knows the status", f"{said}, not {session.run.status}")
+            asks = session.run.status is Status.ESCALATED
+            _hold(not asks or session.run.id in self._asked, "who waits has asked", f"{session.run.escalated_by}")
 
 
 def _hold(holds: bool, invariant: str, detail: str) -> None:
