@@ -19,6 +19,9 @@ if TYPE_CHECKING:
 MARK_MAX = 20_000
 """How many points of the recorded safe path are kept: one that is as long as that leads no further, and not back."""
 
+WIDER_M = 0.01
+"""How much wider open a hand has to have been for that to be another way of holding it."""
+
 
 class Hand(NamedTuple):
     """What the robot believes to hold.
@@ -37,9 +40,10 @@ class Hand(NamedTuple):
 class Mark(NamedTuple):
     """One point of the recorded safe path.
 
-    Commanded joints, believed base pose, whether the base drove, whether the pads held something, and whether it was a
-    recovery that went there. Of recoveries the path holds that they began, and where they drove: they draw the
-    arm in, and undo by that what it did. Going back is not recorded: the path `leaps` to where it was interrupted.
+    Commanded joints, believed base pose, whether the base drove, whether the pads held something, whether it was a
+    recovery that went there, and how wide the hand was open. Of recoveries the path holds that they began, and where
+    they drove: they draw the arm in, and undo by that what it did. Going back is not recorded: the path `leaps` to
+    where it was interrupted.
     """
 
     joints: NDArray[np.float64]
@@ -48,6 +52,7 @@ class Mark(NamedTuple):
     holding: bool
     recovering: bool = False
     leaps: bool = False
+    width_m: float = 0.0
 
 
 def on_surface(surface: Surface, x_m: float, y_m: float, *, margin_m: float = 0.0) -> bool:

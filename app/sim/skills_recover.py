@@ -11,7 +11,7 @@ import numpy as np
 
 from app.cell.substrate import SubstrateError
 from app.sim.body import CONTACT_SPEED_MPS, JOINT_SPEED_RADPS, Body, Moves, SkillFailed
-from app.sim.hand import MARK_MAX
+from app.sim.hand import MARK_MAX, WIDER_M
 from app.sim.localisation import wrapped
 from app.sim.skills_arm import HOVER_M, LIFT_M, grasp_object, number, put_down, resting_place, within_reach
 from app.sim.skills_drive import RECOVERY_BASE_SPEED_MPS, RECOVERY_TCP_SPEED_MPS
@@ -193,7 +193,10 @@ def _spaced(poses: list[Vec3]) -> list[Vec3]:
 
 
 def _undo(body: Body, trail: list[Mark], limit_mps: float) -> Moves:
-    """Follow the marks backwards; what was taken on them is put back where it was taken."""
+    """Follow the marks backwards; what was taken on them is put back where it was taken.
+
+    A hand that was shut on nothing is opened where it was shut: what it passed before stood between its fingers.
+    """
     taken = _taken_at(trail) if body.holding else None
     if taken is not None:
         yield from _back(body, trail[taken:], limit_mps, gentle=True)
@@ -204,6 +207,10 @@ def _undo(body: Body, trail: list[Mark], limit_mps: float) -> Moves:
         body.senses.tare()
         trail = trail[: taken + 1]
         body.enter("retreat", 0.6)
+    elif (shut := _shut_at(body, trail)) is not None:
+        yield from _back(body, trail[shut:], limit_mps, gentle=False)
+        yield from body.open()
+        trail = trail[: shut + 1]
     yield from _back(body, trail, limit_mps, gentle=False)
 
 
@@ -225,6 +232,14 @@ def _taken_at(trail: list[Mark]) -> int | None:
     """Return the mark at which the pads first held what they hold now, or None where they held it from the start."""
     empty = [k for k, mark in enumerate(trail) if not mark.holding]
     return min(empty[-1] + 1, len(trail) - 1) if empty else None
+
+
+def _shut_at(body: Body, trail: list[Mark]) -> int | None:
+    """Return the mark at which the hand was last open wider than now; None where it was not, or holds something."""
+    if body.holding:
+        return None
+    wider = (k for k, mark in enumerate(trail) if mark.width_m > body.seen.grip_width_m + WIDER_M and not mark.holding)
+    return max(wider, default=None)
 
 
 def _back(body: Body, trail: list[Mark], limit_mps: float, *, gentle: bool) -> Moves:

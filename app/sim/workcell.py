@@ -23,7 +23,7 @@ from app.governance.recovery import RETRACE
 from app.sim import robot
 from app.sim.display import copy_poses, describe, moving_bodies
 from app.sim.faults import FaultClock, Scenario, Victim
-from app.sim.hand import MARK_MAX, Mark
+from app.sim.hand import MARK_MAX, WIDER_M, Mark
 from app.sim.kinematics import ArmSolver, Residual, SelfModel, speed_of
 from app.sim.localisation import Localiser, to_base
 from app.sim.occasions import Occasions
@@ -431,6 +431,7 @@ class Workcell:
             return
         mark, last = self._mark(driving=driving), state.trail[-1]
         moved = float(np.abs(mark.joints - last.joints).max()) > _MARK_RAD
+        moved = moved or abs(mark.width_m - last.width_m) > WIDER_M
         if moved or mark.driving or mark.driving != last.driving or mark.holding != last.holding:
             state.trail.append(mark)
 
@@ -442,7 +443,9 @@ class Workcell:
 
     def _mark(self, *, driving: bool) -> Mark:
         state = self._state
-        return Mark(np.array(state.held.joint_rad), state.localiser.pose, driving, self.observe().pads_loaded)
+        seen = self.observe()
+        joints, width_m = np.array(state.held.joint_rad), seen.grip_width_m
+        return Mark(joints, state.localiser.pose, driving, seen.pads_loaded, width_m=width_m)
 
     def _fact(self, name: str, now: float, pose: Vec3) -> ObjectFact:
         seen = self._state.perception.memory[name]

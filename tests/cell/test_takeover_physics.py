@@ -228,6 +228,25 @@ def test_a_hand_grasps_what_is_there_and_the_robot_knows_it(tmp_path: Path) -> N
     assert shop.cell.facts().holding is None
 
 
+def test_what_stood_between_the_fingers_does_so_again_when_a_shut_hand_goes_back(tmp_path: Path) -> None:
+    shop = Workshop(tmp_path)
+    shop.launch("grasp_object", **{**GRASP, "object_id": "glass_1"})
+    while shop.runner.session is not None and shop.runner.session.run.skill.report().phase != "close":
+        shop.runner.tick()
+    console = take_over(shop)
+    console.hold(Wish(tool=(0.0, 0.0, 0.25)), 100)  # off the glass
+    console.press(Wish(grip="close"), 150)
+    assert shop.cell.observe().grip_width_m < 0.01
+    assert shop.runner.human("inv-1", "rollback", "operator") is None
+    hardest_n = 0.0
+    while shop.runner.invocation is not None and shop.runner.status != "escalated":
+        shop.runner.tick()
+        hardest_n = max(hardest_n, shop.cell.glance().contact_force_n)
+    assert shop.last("outcome")["outcome"] == "rolled_back"
+    assert hardest_n < 5.0
+    assert shop.cell.truth().upright["glass_1"]
+
+
 def test_a_hand_keeps_what_its_pads_miss_for_a_moment(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     shop = Workshop(tmp_path)
     shop.launch("grasp_object", **GRASP)
