@@ -230,14 +230,14 @@ def version() -> None:
 
 
 def main() -> None:
-    """Run the command line; a setting that cannot be used, and an output that is full, are said in one line."""
+    """Run the command line; a setting or a path that cannot be used, and a full output, are said in one line."""
     try:
         app()
     except ConfigError as error:
         say_error(str(error))
         sys.exit(MISUSE)
     except OSError as error:
-        if error.errno not in {errno.ENOSPC, errno.EDQUOT}:
+        if error.errno not in {errno.ENOSPC, errno.EDQUOT, errno.ENAMETOOLONG, errno.EACCES}:
             raise
         say_error(str(error))
         sys.exit(MISUSE)

@@ -119,6 +119,24 @@ def test_a_name_that_cannot_be_is_no_fault_of_the_data_directory(tmp_path: Path,
     assert HINT not in said
 
 
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["policy", "check"],
+        ["policy", "diff", "policies"],
+        ["token", "list", "--data"],
+        ["audit", "show", "inv_1", "--data"],
+    ],
+)
+def test_a_path_that_no_file_system_takes_is_misuse(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], words: list[str]
+) -> None:
+    monkeypatch.setattr(sys, "argv", ["reins", *words, "x" * 5000])
+    with pytest.raises(SystemExit, match="2"):
+        main()
+    assert "File name too long: 'xxx" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("hours", ["inf", "nan", "1e12", "0", "-1"])
 def test_hours_that_no_token_holds_are_named_as_they_were_given(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], hours: str
