@@ -22,6 +22,10 @@ Policies = Annotated[
     typer.Option(help="The policy directory; default: ./policies, else the shipped one.", envvar="REINS_POLICIES"),
 ]
 
+TimeLimit = Annotated[  # a day at most: endless is no number of milliseconds, which is what the solver counts in
+    float, typer.Option("--time-limit", min=0.01, max=86_400, help="Seconds for all proofs together.")
+]
+
 
 def finding(found: PolicyErrors, folder: Path) -> typer.Exit:
     """Print every problem, and return the exit of a finding."""

@@ -11,7 +11,7 @@ import typer
 from rich.progress import BarColumn, Progress, TextColumn
 
 from app import cli_authoring, cli_policy_diff, cli_policy_new, cli_policy_suggest, cli_policy_test
-from app.cli_policies import Directory, finding
+from app.cli_policies import Directory, TimeLimit, finding
 from app.clock import monotonic_s
 from app.config import find_policies
 from app.governance.bundle import load, read_cases, read_properties
@@ -51,7 +51,7 @@ def check(  # its options
     directory: Directory = None,
     form: Annotated[Form, typer.Option("--format", help="How to write what is found.")] = Form.TEXT,
     effort: Annotated[int, typer.Option(min=1, help="Steps of the solver for one question.")] = 20_000_000,
-    all_s: Annotated[float, typer.Option("--time-limit", min=0.01, help="Seconds for all proofs together.")] = 120.0,
+    all_s: TimeLimit = 120.0,
     proofs: Annotated[bool, typer.Option(help="Whether to prove, or only to load.")] = True,
     verbose: Annotated[bool, typer.Option("--verbose", "-v", help="Print notes as well.")] = False,
     against: Annotated[

@@ -10,7 +10,7 @@ import orjson
 import typer
 from rich.progress import BarColumn, Progress, TextColumn
 
-from app.cli_policies import load_policy
+from app.cli_policies import TimeLimit, load_policy
 from app.clock import monotonic_s
 from app.config import find_policies
 from app.governance.changes import SAME, Direction
@@ -48,7 +48,7 @@ def diff(
     *,
     json: Annotated[bool, typer.Option("--json", help="Print everything as JSON.")] = False,
     effort: Annotated[int, typer.Option(min=1, help="Steps of the solver for one question.")] = 20_000_000,
-    all_s: Annotated[float, typer.Option("--time-limit", min=0.01, help="Seconds for all proofs together.")] = 120.0,
+    all_s: TimeLimit = 120.0,
     verbose: Annotated[bool, typer.Option("--verbose", "-v", help="Print an example of every pair.")] = False,
 ) -> None:
     """Say what really changes: which decisions, from what to what, with the smallest example; and everything else.

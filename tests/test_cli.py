@@ -137,6 +137,14 @@ def test_a_path_that_no_file_system_takes_is_misuse(
     assert "File name too long: 'xxx" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("words", [["check"], ["diff", "policies", "policies"]])
+@pytest.mark.parametrize("limit", ["inf", "nan", "1e400", "86401"])
+def test_a_time_limit_that_the_solver_cannot_count_is_misuse(words: list[str], limit: str) -> None:
+    code, said = run("policy", *words, "--time-limit", limit)
+    assert code == 2
+    assert "--time-limit" in said
+
+
 @pytest.mark.parametrize("hours", ["inf", "nan", "1e12", "0", "-1"])
 def test_hours_that_no_token_holds_are_named_as_they_were_given(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], hours: str
