@@ -55,12 +55,28 @@ KNOWN: Final[Mapping[str, tuple[str, str]]] = {
     "cell_lost": ("the cell has been away for too long", "propose it again when the cell is back"),
     "cell_restarted": ("the cell was started anew while it ran", "inspect, then propose it again"),
     "launch_unconfirmed": ("the cell never confirmed the launch", "inspect, then propose it again"),
+    "permit_expired": (
+        "by the cell's clock its authorization had run out",
+        "propose it again once the clocks of server and cell agree",
+    ),
+    "not_yet_valid": (
+        "by the cell's clock its authorization is from the future",
+        "propose it again once the clocks of server and cell agree",
+    ),
     "holding": ("the cell holds since it lost its link", "propose it again when the link holds"),
     "unknown_capability": ("the robot has no skill for it", "choose another capability, or another cell"),
     "unknown_name": ("the cell knows nothing of that name", "choose another, or wait until the cell is restarted"),
     "power_off": ("the robot's power is off", "wait until it is reset"),
     "verified": ("it was rolled back; the world is as it was before", "change what is proposed"),
 }
+
+OF_PERMITS: Final[Mapping[str, str]] = {"expired": "permit_expired"}
+"""What a cell says of an authorization in a word that means something else of a session."""
+
+
+def of_refusal(code: str) -> str:
+    """Return the failure of a session that its cell would not begin, by what the cell said of its authorization."""
+    return OF_PERMITS.get(code, code)
 
 
 def described(code: str) -> str:

@@ -15,7 +15,7 @@ from app.governance.model import TERMINAL, EventKind, Outcome, Status
 from app.governance.session import final_status, refused_launch
 from app.runtime.drafts import DENIAL, SERVER, outcome_event, reason
 from app.runtime.escalation import APPROVED, DENIED, EXPIRED, PENDING, ROLLBACK, WITHDRAWN, bound_digest
-from app.runtime.failures import described, failure
+from app.runtime.failures import described, failure, of_refusal
 from app.runtime.hands import LAPSED, driven, followed
 from app.runtime.questions import PAUSED, RULE
 
@@ -78,7 +78,7 @@ class Story:
             kind, body = EventKind.CELL, {**body, "late": EventKind.OUTCOME}
         self.drafts.append(EventDraft(kind=kind, actor=cell, invocation=name, body=body))
         if version is not None and live and event.kind == EventKind.LAUNCH and self._versions[version.id].final:
-            refusal = reason(RULE, str(event.body["refused"]), str(event.body.get("detail", "")))
+            refusal = reason(RULE, of_refusal(str(event.body["refused"])), str(event.body.get("detail", "")))
             self.drafts.append(outcome_event(self._versions[version.id], SERVER, refusal))
 
     def _follow(self, version: Invocation, event: UpEvent, at: str) -> Mapping[str, Any]:
@@ -93,7 +93,7 @@ class Story:
                 self._versions[version.id] = version.evolve(at, terms=replace(version.terms, confirmed=True))
             case EventKind.LAUNCH if not version.terms.confirmed:  # nothing moved, and nothing will on this permit
                 code = str(event.body["refused"])
-                return self._end(version, refused_launch(code), at, code)
+                return self._end(version, refused_launch(code), at, of_refusal(code))
             case EventKind.STATUS:
                 return self._status(version, Status(str(event.body["status"])), event, at)
             case EventKind.ESCALATION:

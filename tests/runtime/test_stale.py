@@ -19,7 +19,7 @@ from app.protocol import LEASE_MS, Launch
 from app.runtime.assembly import Runtime
 from app.runtime.errors import Conflict
 
-from .conftest import AGENT, AT_BENCH, CELL, OPERATOR, OPERATOR_2, HandCell, grasp, until
+from .conftest import AGENT, AT_BENCH, CELL, OPERATOR, OPERATOR_2, HandCell, grasp, navigate, until
 from .test_fleet import Late, running
 
 pytestmark = pytest.mark.anyio
@@ -447,3 +447,17 @@ async def test_an_idle_cell_is_taken_again_whose_session_stands_after_it_was_giv
 
 async def history(runtime: Runtime) -> list[Event]:
     return await runtime.store.events(limit=1000)
+
+
+@pytest.mark.parametrize(("said", "code"), [("expired", "permit_expired"), ("not_yet_valid", "not_yet_valid")])
+async def test_a_clock_that_refused_an_authorization_is_no_person_who_did_not_answer(
+    runtime: Runtime, cell: HandCell, said: str, code: str
+) -> None:
+    made, _ = await runtime.governor.propose(AGENT, navigate())
+    name = str(made["id"])
+    await cell.report("launch", name, refused=said, detail="the clock")
+    document = await runtime.governor.invocation(name, AGENT)
+    (why,) = document["failure"]["reasons"]
+    assert (document["outcome"], why["code"]) == ("fault", code)
+    assert "by the cell's clock" in why["message"]
+    assert "clocks of server and cell" in why["remedy"]
