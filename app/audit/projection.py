@@ -61,7 +61,8 @@ def rebuild(events: Iterable[Event]) -> dict[str, Any]:
     known: dict[str, Any] = {}
     for event in events:
         known.setdefault("id", event.invocation)
-        known.setdefault("created_seq", event.seq)
+        if "created_seq" not in known or (event.kind == EventKind.PROPOSAL and "agent" not in known):
+            known["created_seq"] = event.seq  # a stop of the cell may be written down before what it met is
         states = _STATES.get(event.kind)
         if states is None:
             continue

@@ -132,7 +132,10 @@ STATES: list[tuple[tuple[Told, ...], dict[str, Any]]] = [
     ((*RUN, question(), STOPPED, question(status="withdrawn")), {"escalation": {"id": "esc_1", "status": "withdrawn", "expires_at": TIME}}),
     ((*RUN, STOPPED, question()), {"escalation": None}),  # a late word of the cell's
     ((*RUN, question("approval", edits=[{}])), {"policy": SAID}),
-    ((("telemetry", {}), PROPOSAL), {"created_seq": 7, "capability": "navigate_to"}),
+    ((("telemetry", {}), PROPOSAL), {"created_seq": 8, "capability": "navigate_to"}),
+    ((("human", {"op": "estop"}), PROPOSAL, ADMISSION), {"created_seq": 8, "agent": "planner", "capability": "navigate_to"}),
+    ((PROPOSAL, ("human", {"op": "estop"}), PROPOSAL), {"created_seq": 7}),
+    ((TAKEN, ("human", {"op": "estop"})), {"created_seq": 7, "capability": "takeover"}),
 ]  # fmt: skip
 
 

@@ -5,6 +5,7 @@ Every other test of the runtime ends with an examination that finds nothing (`Ho
 
 from __future__ import annotations
 
+import asyncio
 import sqlite3
 from contextlib import closing
 from pathlib import Path
@@ -15,7 +16,7 @@ import pytest
 
 from app.audit.examination import Examination, examine, examine_file
 from app.audit.places import Places, load_verifier
-from tests.runtime.conftest import AGENT, OPERATOR, HandCell, House, navigate
+from tests.runtime.conftest import AGENT, CELL, OPERATOR, HandCell, House, navigate
 
 pytestmark = pytest.mark.anyio
 
@@ -42,6 +43,31 @@ def rewritten(folder: Path, name: str, **changes: Any) -> bytes:
     with closing(sqlite3.connect(Places(folder).database)) as database:
         (document,) = database.execute("SELECT document FROM invocations WHERE id = ?", (name,)).fetchone()
     return orjson.dumps({**orjson.loads(document), **changes})
+
+
+async def test_a_stop_that_is_written_down_before_the_proposal_it_met_changes_nothing_of_it(
+    house: House, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async with house.open() as runtime:
+        cell = await HandCell(runtime).dial()
+        await cell.state()
+        begun, go, append = asyncio.Event(), asyncio.Event(), runtime.register.append
+
+        async def late(*arguments: Any, **named: Any) -> Any:
+            monkeypatch.setattr(runtime.register, "append", append)
+            begun.set()
+            await go.wait()
+            return await append(*arguments, **named)
+
+        monkeypatch.setattr(runtime.register, "append", late)
+        proposing = asyncio.create_task(runtime.governor.propose(AGENT, navigate()))
+        await begun.wait()
+        await runtime.governor.estop(CELL, OPERATOR)
+        go.set()
+        name = (await proposing)[0]["id"]
+        told = [event["kind"] for event in await runtime.governor.trace(name, OPERATOR)]
+        assert told[:2] == ["human", "proposal"]
+    assert examine_file(house.folder).ok
 
 
 @pytest.mark.parametrize(
