@@ -7,7 +7,9 @@ in its log, and the cell sends again what was not acknowledged.
 State, beats and poses are not sequenced: only the newest matters.
 
 Link lease: the server beats every `BEAT_MS`; a cell that has heard nothing for `LEASE_MS` holds (category 2) and
-launches nothing until it has been welcomed again.
+launches nothing until it has been welcomed again. Frames that come steadily may still be old, where a line is slow or
+queues them: the cell beats as well, the server's beats name the newest it has heard, and a cell whose beats of the last
+`AGED_MS` nobody has heard gives the link up.
 """
 
 from __future__ import annotations
@@ -23,8 +25,9 @@ from app.governance.control import GOING_ON
 
 LEASE_MS = 300
 BEAT_MS = 75
+AGED_MS = 1500  # there and back again, beats included
 STATE_MS = 100
-VERSION = 15
+VERSION = 16
 
 
 Count: TypeAlias = Annotated[int, Field(strict=True, ge=0, lt=2**63)]  # as the record can write down
@@ -155,9 +158,10 @@ class Watch(Message):
 
 
 class Beat(Message):
-    """The link is alive."""
+    """The link is alive. A cell numbers its own; the server's name the newest of those that it has heard."""
 
     type: Literal["beat"] = "beat"
+    n: Count = 0
 
 
 Down: TypeAlias = Annotated[

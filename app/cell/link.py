@@ -8,7 +8,9 @@ How one connection goes:
 3. A `Policy` counts by its digest, computed here again from the files. Only then is there a world to build (the site is
    part of the policy), and the control loop starts.
 4. From `Welcome` on the lease runs: every frame renews it. When it lapses the loop holds, the link closes and dials
-   again, and nothing launches until the next `Welcome`; a frame that comes too late mends nothing.
+   again, and nothing launches until the next `Welcome`; a frame that comes too late mends nothing. The link closes as
+   well when frames come, but none by which the server has heard this cell lately: on a line that holds words back for
+   seconds a stop would come as late, and nobody would know.
 5. Events go up in order from the first that the server has not acknowledged, on every connection again. A server that
    has fewer than before was put back to an older copy of its record: it gets again what the journal's file still holds,
    and where that is not all of it, nothing, since it would refuse the gap.
@@ -21,6 +23,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import random
+from collections import deque
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final, NoReturn, Protocol
 
@@ -38,6 +41,7 @@ from app.clock import monotonic_s
 from app.governance import bundle
 from app.governance.errors import GovernanceError
 from app.protocol import (
+    AGED_MS,
     Ack,
     Beat,
     Estop,
@@ -151,6 +155,8 @@ class Link:
         self._wake = asyncio.Event()
         self._heard_ack = asyncio.Event()
         self._acknowledged = 0
+        self._beats: deque[tuple[int, float]] = deque()  # which, and when it was sent; those not heard of yet
+        self._vouched_s = float("-inf")  # when the newest was sent of what the server is known to have heard
         self._missing = False  # the server lacks reports that the journal has not kept: it would take none behind them
         self._watched = 0
         self._retry_s = FIRST_RETRY_S
@@ -211,13 +217,18 @@ class Link:
             max_size=MAX_FRAME_BYTES,
         )
         async with dial as socket:
-            hello = self._hello()
+            hello, said_s = self._hello(), monotonic_s()
             await socket.send(protocol.encode(hello))
-            acknowledged = await self._be_welcomed(socket, hello)
-            self._welcomed_s = monotonic_s()
-            missing = f", {_lacking(acknowledged, hello.first_seq)}" if self._missing else ""
-            self._say_once(f"linked to {address}{missing}")
-            await self._keep_up(socket, stopping)
+            beating = asyncio.create_task(self._beat(socket))  # from here on, or a line would count for twice as slow
+            try:
+                acknowledged = await self._be_welcomed(socket, hello, said_s)
+                self._welcomed_s = monotonic_s()
+                missing = f", {_lacking(acknowledged, hello.first_seq)}" if self._missing else ""
+                self._say_once(f"linked to {address}{missing}")
+                await self._keep_up(socket, stopping)
+            finally:
+                beating.cancel()
+                await asyncio.gather(beating, return_exceptions=True)
 
     async def _keep_up(self, socket: ClientConnection, stopping: asyncio.Task[bool]) -> None:
         """Run the connection's tasks until one ends, which none does without a reason, or the cell is told to stop."""
@@ -255,8 +266,8 @@ class Link:
             last_seq=self._outbox.last_seq,
         )
 
-    async def _be_welcomed(self, socket: ClientConnection, hello: Hello) -> int:
-        """Take the welcome, and return the last report that the server has."""
+    async def _be_welcomed(self, socket: ClientConnection, hello: Hello, said_s: float) -> int:
+        """Take the welcome to what was said at a time, and return the last report that the server has."""
         async with asyncio.timeout(PATIENCE_S):
             first = protocol.decode_down(await socket.recv())
             while isinstance(first, Estop | Human):  # a restraint overtakes even the welcome
@@ -269,6 +280,8 @@ class Link:
                 raise LinkRefused(f"the server speaks link version `{first.version}`; valid: `{protocol.VERSION}`")
             case _:
                 raise LinkRefused(f"the server began with `{first.type}`; valid: `welcome`")
+        self._vouched_s = said_s
+        self._check_age()
         self._kernel_key = first.kernel_key
         self._profile = first.profile
         self._missing = hello.first_seq > first.acknowledged + 1
@@ -305,7 +318,7 @@ class Link:
             message = protocol.decode_down(frame)
             match message:
                 case Beat():
-                    pass
+                    self._vouch(message.n)
                 case Ack():
                     self._acknowledge(message.seq)
                 case Watch():
@@ -382,12 +395,33 @@ class Link:
                 shown = state
                 self._say_fault("" if state.fault is None else state.fault.why)
 
+    async def _beat(self, socket: ClientConnection) -> NoReturn:
+        """Say that this cell is there, so that the server can say when it heard so."""
+        self._beats.clear()
+        n = 0
+        while True:
+            n += 1
+            self._beats.append((n, monotonic_s()))
+            await socket.send(protocol.encode(Beat(n=n)))
+            await asyncio.sleep(protocol.BEAT_MS / 1000)
+
+    def _vouch(self, n: int) -> None:
+        """Take a beat of the server's: it was said after the `n`th of this cell's was heard."""
+        while self._beats and self._beats[0][0] <= n:
+            _, self._vouched_s = self._beats.popleft()
+
+    def _check_age(self) -> None:
+        """End the connection where what the server says may be old. Raises `LinkLost`."""
+        if monotonic_s() - self._vouched_s > AGED_MS / 1000:
+            raise LinkLost(f"nothing heard for {AGED_MS} ms that was said after this cell was heard: the line is slow")
+
     async def _mind(self) -> NoReturn:
-        """End the connection when the lease lapsed or the control loop ended."""
+        """End the connection when the lease lapsed, what is heard is old, or the control loop ended."""
         while True:
             await asyncio.sleep(MIND_S)
             if self._lease.lapsed():
                 raise LinkLost(f"nothing heard for {protocol.LEASE_MS} ms")
+            self._check_age()
             if self._loop is not None and not self._loop.alive():
                 await self._hand_up()  # what broke, and that the cell is latched
                 raise LinkLost("the control loop ended")

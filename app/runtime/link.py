@@ -137,6 +137,7 @@ class Attachment:
         self._jog: Message | None = None
         self._reports: deque[UpEvent] = deque()
         self._next_seq = 0
+        self._beat = 0
         self._outgoing = asyncio.Event()
         self._incoming = asyncio.Event()
         self._tasks: list[asyncio.Task[None]] = []
@@ -177,9 +178,9 @@ class Attachment:
             self._outgoing.set()
 
     def beat(self) -> None:
-        """Keep the lease alive, unless frames wait already: those say the same."""
+        """Keep the lease alive and say which beat was heard last, unless frames wait already: a later one says it."""
         if not self._outlet:
-            self.post(Beat())
+            self.post(Beat(n=self._beat))
 
     async def _drain(self) -> None:
         while True:
@@ -239,7 +240,7 @@ class Attachment:
             case Sighting():
                 self._hub.take_sighting(self.cell, message)
             case Beat():
-                pass
+                self._beat = message.n
             case _:
                 assert_never(message)
 

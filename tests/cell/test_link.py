@@ -63,6 +63,9 @@ class Script:
     acknowledged: int = 0
     greet: bool = True
     beats: bool = True
+    answers: bool = True
+    welcome_after_s: float = 0.0
+    beat: int = 0  # the newest of the cell's that was heard
     heard: list[Up] = field(default_factory=list)
     frames: list[bytes] = field(default_factory=list)
     sockets: list[ServerConnection] = field(default_factory=list)
@@ -77,8 +80,12 @@ class Script:
                     self.frames.append(frame)
                     continue
                 message = protocol.decode_up(frame)
+                if isinstance(message, Beat):
+                    self.beat = message.n if self.answers else 0
+                    continue
                 self.heard.append(message)
                 if isinstance(message, Hello) and self.greet:
+                    await asyncio.sleep(self.welcome_after_s)
                     await self._welcome(socket, message)
         except ConnectionClosed:
             pass
@@ -98,7 +105,7 @@ class Script:
         while True:
             await asyncio.sleep(protocol.BEAT_MS / 1000)
             if self.beats and self.sockets and self.sockets[-1] is socket:
-                await self.say(Beat(), socket)
+                await self.say(Beat(n=self.beat), socket)
 
     async def say(self, message: Down, socket: ServerConnection | None = None) -> None:
         await (socket or self.sockets[-1]).send(protocol.encode(message))
@@ -159,9 +166,11 @@ async def rig(
     last_seq: int = 0,
     ready: threading.Event | None = None,
     lease_ms: int = PATIENT_MS,
+    aged_ms: int = PATIENT_MS,
 ) -> AsyncIterator[Rig]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("app.cell.loop.LEASE_MS", lease_ms)
+        patch.setattr("app.cell.link.AGED_MS", aged_ms)
         async with _rigged(folder, script or Script(), server_key, last_seq, ready) as cell:
             yield cell
 
@@ -386,6 +395,28 @@ async def test_holds_and_dials_again_when_the_server_falls_silent(tmp_path: Path
         await until(lambda: cell.runner.holds == ["link"], "the hold")
         cell.script.beats = True
         await until(lambda: len(cell.orders(Welcomed)) > 1, "the second welcome")
+
+
+@pytest.mark.anyio
+async def test_gives_a_line_up_that_brings_words_steadily_and_late(tmp_path: Path) -> None:
+    async with rig(tmp_path, lease_ms=LEASE_MS, aged_ms=600) as cell:
+        await until(lambda: cell.orders(Welcomed))
+        cell.script.answers, cell.script.beat = False, 0  # as if what the server says was said before
+        await until(lambda: cell.runner.holds == ["link"], "the hold")
+        assert any("the line is slow" in word for word in cell.said)
+        cell.script.answers = True
+        await until(lambda: len(cell.orders(Welcomed)) > 1, "the second welcome")
+
+
+@pytest.mark.anyio
+async def test_a_welcome_that_was_long_on_its_way_is_none(tmp_path: Path) -> None:
+    script = Script(welcome_after_s=0.4)
+    async with rig(tmp_path, script, aged_ms=300) as cell:
+        await until(lambda: len(script.of(Hello)) > 1, "another dial")
+        assert not cell.orders(Welcomed)
+        assert not cell.built
+        script.welcome_after_s = 0.0
+        await until(lambda: cell.orders(Welcomed), "the welcome")
 
 
 @pytest.mark.anyio
