@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 DASH: Final = "–"
 _LONG_TRIALS: Final = 1000
 _TRIALS: Final = 200
+_MOST: Final = 1_000_000_000  # of trials or processes
 _LARGEST_SEED: Final = 2**64 - 1  # what `results.json` can hold
 _SHOWN: Final = ("UAIR", "FRR", "RVDR", "UCR", "CEF", "FAS", "RSR", "RBSR", "MRT", "RPC")
 
@@ -412,10 +413,10 @@ def _seed(word: str) -> int:
 
 
 def _check_count(option: str, count: int | None) -> None:
-    """Refuse a negative number.
+    """Refuse a negative number, and one that no campaign comes to the end of.
 
     Raises:
-        ValueError: it is one.
+        ValueError: it is either.
     """
-    if count is not None and count < 0:
-        raise ValueError(f"--{option} `{count}`: valid is 0 or more")
+    if count is not None and not 0 <= count <= _MOST:
+        raise ValueError(f"--{option} `{count}`: valid is 0 or more, up to {_MOST:,}")

@@ -13,6 +13,7 @@ from app.config import find_policies
 from app.terminal import FINDING, err, say
 
 NOMINAL = 0.99
+MOST_WORLDS, MOST_JOBS = 1_000_000, 1024
 
 app = typer.Typer(help="The simulated workcell without a server.", no_args_is_help=True)
 
@@ -24,8 +25,8 @@ def group() -> None:
 
 @app.command()
 def soak(
-    seeds: Annotated[int, typer.Option(help="How many worlds.", min=1)] = 20,
-    jobs: Annotated[int, typer.Option(help="How many processes.", min=1)] = 1,
+    seeds: Annotated[int, typer.Option(help="How many worlds.", min=1, max=MOST_WORLDS)] = 20,
+    jobs: Annotated[int, typer.Option(help="How many processes.", min=1, max=MOST_JOBS)] = 1,
     first: Annotated[int, typer.Option(help="The first seed.", min=0)] = 0,
     policies: Annotated[Path | None, typer.Option(help="Policy directory, for its site.")] = None,
 ) -> None:

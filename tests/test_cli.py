@@ -393,6 +393,20 @@ def test_a_note_of_tokens_that_cannot_be_read_keeps_no_server_from_starting(
     assert "holds no more" in capsys.readouterr().out
 
 
+@pytest.mark.parametrize("option", ["--seeds", "--jobs"])
+def test_a_soak_of_more_than_anybody_waits_for_is_misuse(option: str) -> None:
+    code, said = run("sim", "soak", option, "9" * 23)
+    assert code == 2
+    assert option in said
+
+
+@pytest.mark.parametrize("words", [["serve", "--port", "0"], ["token", "list"], ["audit", "verify"]])
+def test_a_data_directory_whose_name_is_no_text_is_misuse(tmp_path: Path, words: list[str]) -> None:
+    code, said = run(*words, "--data", f"{tmp_path}/\udcff")
+    assert code == 2
+    assert "is no text in UTF-8" in said
+
+
 def test_a_soak_says_what_is_wrong_with_the_policies(tmp_path: Path) -> None:
     (tmp_path / "site.yaml").write_text("targets: 3")
     code, said = run("sim", "soak", "--policies", str(tmp_path))

@@ -60,7 +60,10 @@ def check_place(path: Path, protocol: str) -> str:
         OSError: it cannot be read.
     """
     begin, end = _comments(protocol)
-    text = path.read_text(encoding="utf-8")
+    try:
+        text = path.read_text(encoding="utf-8")
+    except UnicodeDecodeError as error:
+        raise ReadmeError(f"`{path}` is no text in UTF-8: valid is a file with `{begin}` and `{end}`") from error
     if not _place(begin, end).search(text):
         raise ReadmeError(f"`{path}` has no place for the table: valid is a file with `{begin}` and `{end}`")
     return text

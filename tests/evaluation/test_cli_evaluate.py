@@ -61,6 +61,7 @@ def evaluate(*words: str, out: Path) -> tuple[int, str]:
         (["--protocol", "physical", "--tasks", "sorting, sorting"], "--tasks `sorting, sorting` names `sorting` twice"),
         (["--protocol", "toy", "--seeds", str(2**64)], f"seed `{2**64}`: valid are integers from 0 on, below 2⁶⁴"),
         (["--protocol", "toy", "--trials", "-1"], "--trials `-1`: valid is 0 or more"),
+        (["--protocol", "toy", "--trials", "9" * 23], "valid is 0 or more, up to 1,000,000,000"),
         (["--protocol", "toy", "--jobs", "-2"], "--jobs `-2`: valid is 0 or more"),
         (["--protocol", "toy", "--seeds", "1,01"], "--seeds `1,01` names `1` twice"),
         (

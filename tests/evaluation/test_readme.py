@@ -108,6 +108,14 @@ def test_results_without_a_figure_leave_the_table_as_it_is(tmp_path: Path) -> No
     assert "kept" in file.read_text(encoding="utf-8")
 
 
+def test_a_file_that_is_no_text_stays_as_it_is(tmp_path: Path) -> None:
+    file = tmp_path / "README.md"
+    file.write_bytes(b"\xff\xfe")
+    with pytest.raises(ReadmeError, match="no text in UTF-8"):
+        refresh(file, RESULTS)
+    assert file.read_bytes() == b"\xff\xfe"
+
+
 def test_a_file_without_a_place_stays_as_it_is(tmp_path: Path) -> None:
     file = tmp_path / "README.md"
     file.write_text("<!-- evaluate:paper -->\n<!-- /evaluate:paper -->\n", encoding="utf-8")
