@@ -302,6 +302,31 @@ def test_a_stop_from_the_fleet_page_that_is_not_confirmed_is_told_on_every_page_
             expect(latched).to_be_visible()  # a new one is news
 
 
+@pytest.mark.parametrize("size", [DESK, PHONE], ids=["desk", "phone"])
+def test_who_says_twice_that_one_stop_is_known_to_have_failed_does_not_give_up_the_stop_of_another_cell(
+    server: ServerProcess, people: People, size: dict[str, int]
+) -> None:
+    person = people.sit(server, init=UNSAID, size=size)
+    person.expects("ERR_FAILED|ERR_INTERNET_DISCONNECTED")
+    door = "**/v1/cells/*/estop"
+    person.page.route(door, lambda route: route.abort())
+    person.press("4")
+    try:
+        for cell in ("workcell-1", "workcell-2"):
+            person.button(f"Emergency stop of {cell}").click()
+        failed = [person.alert(f"The stop of {cell} is not confirmed.") for cell in ("workcell-1", "workcell-2")]
+        for one in failed:
+            expect(one).to_be_visible()
+        person.twice(failed[0].get_by_role("button", name="Understood"), 150)
+        expect(failed[0]).to_have_count(0)
+        expect(failed[1]).to_be_visible()
+        person.page.unroute(door)
+        until(lambda: cells_of(server)[1]["latched"], what="a stop that is still sent")
+    finally:
+        for cell in ("workcell-1", "workcell-2"):
+            server.post(f"/v1/cells/{cell}/reset")
+
+
 def test_a_stop_on_the_fleets_page_stays_where_it_is_when_a_banner_comes_and_the_socket_alone_carries_it(
     server: ServerProcess, people: People
 ) -> None:
