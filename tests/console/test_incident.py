@@ -302,6 +302,28 @@ def test_a_stop_from_the_fleet_page_that_is_not_confirmed_is_told_on_every_page_
             expect(latched).to_be_visible()  # a new one is news
 
 
+def test_what_became_of_one_answer_is_put_away_by_a_double_press_and_of_the_other_it_is_still_told(
+    server: ServerProcess, people: People, incident: Incident
+) -> None:
+    person = people.sit(server)
+    for thing in ("mug_1", "glass_1"):
+        incident.ask("workcell-1", "grasp_object", object_id=thing)
+    for _ in range(2):
+        expect(deny(person)).to_be_enabled()
+        cards(person).get_by_label("Grip force you approve").fill("11")
+        person.page.locator("body").click(position={"x": 1, "y": 1})
+        person.press("x")
+    incident.clear()
+    told = person.alert("your edit was not sent")
+    expect(told).to_have_count(2)
+    kept = told.last.text_content()
+    person.twice(told.first.get_by_role("button", name="Understood"), 150)
+    expect(told).to_have_count(1)
+    expect(told).to_have_text(kept or "")
+    told.get_by_role("button", name="Understood").click()
+    expect(told).to_have_count(0)
+
+
 @pytest.mark.parametrize("size", [DESK, PHONE], ids=["desk", "phone"])
 def test_who_says_twice_that_one_stop_is_known_to_have_failed_does_not_give_up_the_stop_of_another_cell(
     server: ServerProcess, people: People, size: dict[str, int]
