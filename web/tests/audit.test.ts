@@ -4,6 +4,7 @@ import { invocation } from './samples';
 import { LogCheck } from '../src/lib/audit/check.svelte';
 import { judge } from '../src/lib/audit/integrity';
 import { eventQuery, findEvents, matches, newest, NOTHING_LOOKED_AT, NOTHING_WANTED, renewed } from '../src/lib/audit/search';
+import { clock } from '../src/lib/state/clock.svelte';
 
 const signed: Checkpoint = { size: 40, root: 'aaa', checkpoint: '', key: '' };
 const found: Verification = { ok: true, size: 40, root: 'aaa', checkpoint: '', first_bad: null, problem: null };
@@ -44,6 +45,14 @@ describe('the check of the log', () => {
     await check.runUnlessHolds(api, 50);
     expect([asked.mock.calls.length, check.now.is]).toEqual([3, 'bad']);
   });
+});
+
+it('says when the log was checked by the server’s time, whatever this computer takes it for', async () => {
+  const told = vi.spyOn(clock, 'read').mockReturnValue(Date.parse('2026-11-22T10:00:00Z'));
+  const check = new LogCheck();
+  await check.run({ checkpoint: () => Promise.resolve(signed), verify: () => Promise.resolve(found) });
+  told.mockRestore();
+  expect(check.now).toMatchObject({ is: 'good', atMs: Date.parse('2026-11-22T10:00:00Z') });
 });
 
 describe('a log that does not hold', () => {

@@ -1,4 +1,5 @@
 import { ApiError, type Api } from '../api/client';
+import { clock } from '../state/clock.svelte';
 import { judge, newerThan, type Integrity } from './integrity';
 
 /** The log's integrity as this tab last found it; outlives the page that shows it. */
@@ -17,11 +18,11 @@ export class LogCheck {
     this.now = { is: 'checking' };
     try {
       const signed = await api.checkpoint();
-      this.now = judge(signed, await api.verify(), this.seen, Date.now());
+      this.now = judge(signed, await api.verify(), this.seen, clock.read());
       if (this.now.is === 'good') this.seen = { size: this.now.size, root: this.now.root };
     } catch (error) {
       // No answer takes back what one has said.
-      this.now = before.is === 'bad' ? before : { is: 'unknown', why: error instanceof ApiError ? error.message : String(error), atMs: Date.now() };
+      this.now = before.is === 'bad' ? before : { is: 'unknown', why: error instanceof ApiError ? error.message : String(error), atMs: clock.read() };
     }
   }
 }
