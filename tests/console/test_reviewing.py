@@ -98,6 +98,20 @@ def test_an_auditor_gives_a_verdict_by_keyboard_and_its_trace_shows_nothing_meas
     looks_where_nothing_was_measured(person, "auditor reviewed: objected")
 
 
+def test_a_note_that_turns_its_line_around_is_marked_wherever_it_is_shown(
+    server: ServerProcess, people: People, stopped: dict[str, Any]
+) -> None:
+    person = people.sit(server)
+    queue(person).get_by_role("button", name=re.compile("Drive to")).click()
+    queue(person).get_by_role("radio", name=re.compile("Objected")).check()
+    queue(person).get_by_label("Note for the record").fill("by mistake \u202edetpecca")
+    queue(person).get_by_role("button", name="Record the verdict").click()
+    queue(person).get_by_text("Verdicts given").click()
+    expect(queue(person)).to_contain_text("objected by operator, “by mistake \ufffddetpecca”")
+    queue(person).get_by_role("link", name=re.compile("Drive to")).first.click()
+    expect(person.region("Review")).to_contain_text("objected, “by mistake \ufffddetpecca”")
+
+
 def looks_where_nothing_was_measured(person: Person, verdict: str) -> None:
     """Go through a trace: it gives its room to what ran, and shows nothing measured before and after."""
     events, replay, measured = (
