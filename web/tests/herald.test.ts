@@ -43,6 +43,18 @@ describe('new questions are announced', () => {
     expect(herald.speak(TOGETHER_MS)).toBe('4 new questions, 5 wait for you. Most urgent of the new: Grasp e, medium risk.');
   });
 
+  it('in other letters than the one before, which may have gone in the same drawing: what stays the same is not heard', () => {
+    const herald = new Herald();
+    herald.take([]);
+    const said = ['one', 'two', 'three'].map((id, k) => {
+      herald.take([escalation({ id, effective: { object_id: 'mug_1' } })]);
+      return herald.speak(k * TOGETHER_MS) ?? '';
+    });
+    expect(said.map((words) => words.trim())).toEqual(Array(3).fill('Waiting for you: Grasp mug_1, medium risk.'));
+    expect(said[1]).not.toBe(said[0]);
+    expect(said[2]).not.toBe(said[1]);
+  });
+
   it('not any more when they were answered meanwhile', () => {
     const herald = new Herald();
     herald.take([]);

@@ -15,6 +15,7 @@ export class Herald {
   private untold: ReadonlySet<string> = new Set();
   private waiting: readonly Escalation[] = [];
   private spokeMs = -Infinity;
+  private said = '';
 
   /** Takes what waits now, the most urgent first. What waited before anybody listened is on screen, and not said. */
   take(waiting: readonly Escalation[]): void {
@@ -39,7 +40,9 @@ export class Herald {
     if (first === undefined) return null;
     this.spokeMs = nowMs;
     const named = `${titleOf(first.capability, first.effective, held(first))}${where(first)}, ${first.risk} risk.`;
-    if (fresh.length === 1) return `Waiting for ${whom}: ${named}`;
-    return `${fresh.length} new questions, ${this.waiting.length} wait for ${whom}. Most urgent of the new: ${named}`;
+    const words = fresh.length === 1 ? `Waiting for ${whom}: ${named}` : `${fresh.length} new questions, ${this.waiting.length} wait for ${whom}. Most urgent of the new: ${named}`;
+    // A text that does not change is not heard: the one before may have gone, and this have come, in one drawing.
+    this.said = words === this.said ? `${words}\u00A0` : words;
+    return this.said;
   }
 }
