@@ -99,7 +99,7 @@ def grasp_object(body: Body, params: Mapping[str, Json]) -> Moves:
 
 
 def _grasp(body: Body, thing: SiteObject, guess: Glimpse, force_n: float, limit_mps: float) -> Moves:
-    speed, slow = body.speed(limit_mps), min(body.speed(limit_mps), CONTACT_SPEED_MPS * (0.5 if body.careful else 0.95))
+    speed, slow = body.speed(limit_mps), contact_speed(body, limit_mps)
     body.enter("approach", 0.0)
     yield from _emptied(body, limit_mps)
     grip = grip_for(thing, guess)
@@ -137,10 +137,11 @@ def _emptied(body: Body, limit_mps: float) -> Moves:
     """Open the hand; what an attempt before this one left in it is put down first."""
     below, hand = resting_place(body), body.senses.hand
     if below is not None and hand is not None:
-        stretch, body.stretch = body.stretch, (body.stretch[0], body.stretch[0])  # nothing of the task is done by that
-        yield from put_down(body, below, hand, limit_mps)
-        body.stretch = stretch
+        body.enter("descend", 0.0)
+        yield from _lower(body, below, hand, limit_mps)
+        yield from _set_free(body)
         body.enter("approach", 0.0)
+        yield from _withdraw(body, limit_mps)
     yield from body.open()
 
 
@@ -278,24 +279,41 @@ def resting_place(body: Body) -> float | None:
 
 def put_down(body: Body, support_z_m: float, hand: Hand, limit_mps: float) -> Moves:
     """Lower what is held onto the support below, let go, and rise."""
-    speed, slow = body.speed(limit_mps), min(body.speed(limit_mps), CONTACT_SPEED_MPS * (0.5 if body.careful else 0.95))
     body.enter("descend", 0.4)
+    yield from _lower(body, support_z_m, hand, limit_mps)
+    body.enter("release", 0.6)
+    yield from _set_free(body)
+    body.enter("retreat", 0.75)
+    yield from _withdraw(body, limit_mps)
+
+
+def _lower(body: Body, support_z_m: float, hand: Hand, limit_mps: float) -> Moves:
     # What has slipped hangs lower in the grip than it was taken: put down as if it had not, it would be pressed down.
     here, floor = body.pose, support_z_m + hand.above_support_m + PLACE_GAP_M + min(body.seen.slip_m, SLIPPED_MAX_M)
     if here.z_m > floor + CONTACT_NEAR_M:
-        yield from body.line(here._replace(z_m=floor + CONTACT_NEAR_M), speed)
+        yield from body.line(here._replace(z_m=floor + CONTACT_NEAR_M), body.speed(limit_mps))
     if not body.holding:
         raise SkillFailed("object_lost", f"`{hand.name}` slipped out of the grip")
+    slow = contact_speed(body, limit_mps)
     yield from body.line(here._replace(z_m=floor), slow, until=lambda: body.touched(PLACE_TOUCH_N))
-    body.enter("release", 0.6)
+
+
+def _set_free(body: Body) -> Moves:
     yield from body.wait(0.1)
     yield from body.open()
     body.senses.hand = None
     body.senses.tare()
-    body.enter("retreat", 0.75)
+
+
+def _withdraw(body: Body, limit_mps: float) -> Moves:
     up = body.pose
-    yield from body.line(up._replace(z_m=up.z_m + 0.04), slow)
-    yield from body.line(up._replace(z_m=up.z_m + HOVER_M + 0.06), speed)
+    yield from body.line(up._replace(z_m=up.z_m + 0.04), contact_speed(body, limit_mps))
+    yield from body.line(up._replace(z_m=up.z_m + HOVER_M + 0.06), body.speed(limit_mps))
+
+
+def contact_speed(body: Body, limit_mps: float) -> float:
+    """Return how fast the tool goes where it touches things."""
+    return min(body.speed(limit_mps), CONTACT_SPEED_MPS * (0.5 if body.careful else 0.95))
 
 
 def _standing_at(body: Body, held: str, spot: Point) -> str | None:

@@ -10,9 +10,9 @@ from math import cos, sin
 from typing import TYPE_CHECKING
 
 from app.cell.substrate import SubstrateError
-from app.sim.body import CONTACT_NEAR_M, CONTACT_SPEED_MPS, SOFT_CLOSE_N, Body, Moves, SkillFailed
+from app.sim.body import CONTACT_NEAR_M, SOFT_CLOSE_N, Body, Moves, SkillFailed
 from app.sim.kinematics import ToolPose
-from app.sim.skills_arm import HOVER_M, number, within_reach
+from app.sim.skills_arm import HOVER_M, contact_speed, number, within_reach
 from app.sim.world import LEVER_LENGTH_M, LEVER_SWING_RAD
 
 if TYPE_CHECKING:
@@ -41,7 +41,7 @@ def operate_tool(body: Body, params: Mapping[str, Json]) -> Moves:
 
 
 def _swing_lever(body: Body, tool: Tool, wanted: str, force_n: float, limit_mps: float) -> Moves:
-    speed, slow = body.speed(limit_mps), min(body.speed(limit_mps), CONTACT_SPEED_MPS * (0.5 if body.careful else 0.95))
+    speed, slow = body.speed(limit_mps), contact_speed(body, limit_mps)
     begin = LEVER_SWING_RAD if body.senses.tool_state(tool.name) == "up" else -LEVER_SWING_RAD
     end = LEVER_SWING_RAD if wanted == "up" else -LEVER_SWING_RAD
     body.enter("approach", 0.0)
