@@ -27,7 +27,7 @@ LEASE_MS = 300
 BEAT_MS = 75
 AGED_MS = 1500  # there and back again, beats included
 STATE_MS = 100
-VERSION = 16
+VERSION = 17
 
 
 Count: TypeAlias = Annotated[int, Field(strict=True, ge=0, lt=2**63)]  # as the record can write down

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
         Bounds,
         Command,
         CoveredRecovery,
+        ObjectFact,
         Observation,
         Params,
         RecoveryPlan,
@@ -365,8 +366,8 @@ def seen_since(facts: WorldFacts, stamp_s: float) -> WorldFacts:
 def not_restored(began: WorldFacts, ended: WorldFacts, params: Params) -> tuple[str, ...]:
     """Name what a rollback did not bring back, judged by sensors; empty when it is verified.
 
-    Compared are the pose of the base, what the gripper holds, and the object that was handled. An object that cannot be
-    seen is not verified.
+    Compared are the pose of the base, what the gripper holds, and the object that was handled: where it is, how high,
+    and whether it stands or lies as it did. An object that cannot be seen is not verified.
     """
     x, y, yaw = ended.base
     x0, y0, yaw0 = began.base
@@ -378,6 +379,11 @@ def not_restored(began: WorldFacts, ended: WorldFacts, params: Params) -> tuple[
     handled = params.get("object_id")
     if isinstance(handled, str) and began.holding is None and (was := began.objects.get(handled)) is not None:
         now = ended.objects.get(handled)
-        if now is None or not now.visible or not math.hypot(now.x_m - was.x_m, now.y_m - was.y_m) <= 0.1:
+        if now is None or not now.visible or not _as_it_was(was, now):
             missing.append("object_pose")
     return tuple(missing)
+
+
+def _as_it_was(was: ObjectFact, now: ObjectFact) -> bool:
+    beside_m = math.hypot(now.x_m - was.x_m, now.y_m - was.y_m)
+    return beside_m <= 0.1 and abs(now.z_m - was.z_m) <= 0.05 and now.upright == was.upright

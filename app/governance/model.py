@@ -238,7 +238,10 @@ class AgentFacts:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ObjectFact:
-    """One object as last perceived: position in the world frame, and whether the arm can get at it from here."""
+    """One object as last perceived: position in the world frame, and whether the arm can get at it from here.
+
+    Whether it stands `upright` was not recorded from the start: what does not say so was told of what stood.
+    """
 
     visible: bool
     reachable: bool
@@ -246,6 +249,7 @@ class ObjectFact:
     y_m: float
     z_m: float
     stamp_s: float
+    upright: bool = True
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

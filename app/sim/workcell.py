@@ -457,6 +457,7 @@ class Workcell:
             y_m=seen.y_m,
             z_m=seen.z_m,
             stamp_s=seen.stamp_s,
+            upright=seen.upright,
         )
 
 

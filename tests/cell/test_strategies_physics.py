@@ -125,6 +125,25 @@ def test_rollback_puts_an_object_back_where_it_was_taken(tmp_path: Path) -> None
     assert truth.upright["mug_1"]
 
 
+def test_rollback_of_what_fell_over_when_it_was_put_back_has_failed(tmp_path: Path) -> None:
+    shop = Workshop(tmp_path)
+    shop.launch("grasp_object", **{**GRASP, "speed_mps": 0.033})
+    while shop.cell.truth().held is None:
+        shop.runner.tick()
+    while shop.cell.truth().held is not None:
+        shop.runner.tick()
+    plant = shop.cell.plant
+    plant.data.body("mug_1").xfrc_applied[3] = 0.2  # a knock: N m about its foot
+    while plant.true_object("mug_1")[2] > 0.6:
+        shop.runner.tick()
+    plant.data.body("mug_1").xfrc_applied[3] = 0.0
+    while shop.runner.status not in (None, "escalated"):
+        shop.runner.tick()
+    assert shop.last("recovery")["failure"] == "rollback_failed"
+    assert shop.last("recovery")["unmet"] == ["object_pose"]
+    assert not shop.cell.truth().upright["mug_1"]
+
+
 def test_rollback_ends_where_the_session_began_whatever_recoveries_drove_in_between(tmp_path: Path) -> None:
     crate = fault("blocked", grasping("approach"), 6.0, **ELBOW)
     shop = Workshop(tmp_path, profile="test-audit", faults=(crate,))
