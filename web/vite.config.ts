@@ -2,11 +2,12 @@ import { fileURLToPath } from 'node:url';
 import { svelte } from '@sveltejs/vite-plugin-svelte';
 import { defineConfig } from 'vitest/config';
 import { compressed } from './compressed.ts';
+import { withoutAnimation } from './lean.ts';
 
 const server = process.env['REINS_SERVER'] ?? 'http://127.0.0.1:8000';
 
 export default defineConfig({
-  plugins: [svelte(), compressed()],
+  plugins: [svelte(), withoutAnimation(), compressed()],
   build: {
     outDir: fileURLToPath(new URL('../app/console', import.meta.url)),
     emptyOutDir: true,

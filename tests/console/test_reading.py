@@ -259,6 +259,9 @@ def test_a_trace_follows_its_session_shows_what_is_not_read_yet_as_unknown_and_i
     expect(events.locator("[aria-current=step]")).to_contain_text("Done, verified")  # what ran is over
     person.press("ArrowRight")
     expect(events.get_by_text(re.compile(r"(\d+) of \1"))).to_be_visible()
+    person.region("The robot at this moment, from the record").get_by_role("application").focus()
+    person.press("ArrowLeft")  # turns the camera there, and nothing else
+    expect(events.get_by_text(re.compile(r"(\d+) of \1"))).to_be_visible()
     moment.evaluate("(range) => { range.value = range.min; range.dispatchEvent(new Event('input', {bubbles: true})); }")
     began = float(moment.input_value())
     person.page.get_by_role("link", name=re.compile("Drive to")).first.focus()  # as who chose by a click left it

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import base64
+import json
+import math
 from collections.abc import Iterator
+from typing import Any
 
 import pytest
 from playwright.sync_api import expect
@@ -51,6 +54,14 @@ MUCH = 0.2
 def drawn(person: Person) -> float:
     picture = person.region("The cell in 3D").screenshot()
     return person.page.evaluate(DRAWN, base64.b64encode(picture).decode())
+
+
+def camera(person: Person) -> dict[str, Any]:
+    return json.loads(person.page.evaluate("sessionStorage.getItem('reins.camera')"))
+
+
+def range_m(stand: dict[str, Any]) -> float:
+    return math.dist(stand["position"], stand["target"])
 
 
 def red(person: Person) -> int:
@@ -140,6 +151,53 @@ def test_the_cell_is_drawn_and_drawn_again_in_either_theme_after_the_graphics_we
         until(lambda: drawn(person) > MUCH, what="a cell that is drawn again")
         assert scene.locator("canvas").count() == 1
         person.press("n")
+
+
+@pytest.mark.drawn
+def test_the_camera_is_turned_by_keys_where_tab_has_led_and_nowhere_else(
+    server: ServerProcess, people: People, floor: Floor
+) -> None:
+    person = people.sit(server)
+    picture = person.page.get_by_role("application", name="Camera: arrow keys turn it")
+    until(lambda: drawn(person) > MUCH, what="a cell that is drawn")
+    person.page.get_by_label("View from above").click()
+    above = camera(person)
+    person.page.get_by_label("View from the corner").press("Enter")
+    corner = camera(person)
+    assert (above["view"], corner["view"]) == ("top", "overview")
+    person.press("Shift+Tab")
+    expect(picture).to_be_focused()
+    person.press("ArrowLeft")
+    turned = camera(person)
+    assert turned["view"] is None
+    assert turned["target"] == pytest.approx(corner["target"])
+    assert range_m(turned) == pytest.approx(range_m(corner))
+    assert turned["position"] != pytest.approx(corner["position"])
+    person.press("ArrowRight")
+    assert camera(person)["position"] == pytest.approx(corner["position"])
+    for key, nearer in (("+", True), ("-", False)):
+        before = range_m(camera(person))
+        person.press(key)
+        assert (range_m(camera(person)) < before) == nearer
+    person.press("ArrowUp")
+    assert camera(person)["position"][2] > corner["position"][2]
+    person.press("Shift+ArrowDown")
+
+    # Who clicks has not gone there, and arrows that drive the robot do so from there as well.
+    stood = camera(person)
+    person.page.get_by_label("View from the corner").focus()
+    picture.click(position={"x": 300, "y": 200})
+    expect(picture).not_to_be_focused()
+    person.press("ArrowLeft")
+    assert camera(person) == stood
+    person.press("t")
+    person.button("Take the controls").click()
+    expect(person.page.get_by_text("Hold to run; let go to stop")).to_be_visible()
+    picture.focus()
+    person.page.keyboard.down("ArrowDown")
+    expect(person.page.get_by_text("Moving while you hold")).to_be_visible()
+    person.page.keyboard.up("ArrowDown")
+    assert camera(person) == stood
 
 
 @pytest.mark.drawn

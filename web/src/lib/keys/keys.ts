@@ -39,6 +39,11 @@ export function takesKeys(target: Parameters<typeof isTyping>[0]): boolean {
   return isTyping(target) || ['INPUT', 'SELECT', 'SUMMARY'].includes(target?.tagName ?? '');
 }
 
+/** Whether it is the picture of a cell, whose camera arrows turn. */
+export function turnsCamera(target: { tagName?: string } | null): boolean {
+  return target?.tagName === 'CANVAS';
+}
+
 /** Whether Space presses what has the focus; a link is followed by Enter alone. */
 export function pressedBySpace(target: { tagName?: string; type?: string } | null): boolean {
   if (target?.tagName === 'INPUT') return target.type === 'checkbox' || target.type === 'radio';

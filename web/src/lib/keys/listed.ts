@@ -58,6 +58,15 @@ export const DRIVING: Group = {
   ],
 };
 
+/** Those that the picture hears itself. */
+export const CAMERA: Group = {
+  where: 'On the picture in 3D, once Tab has led there',
+  keys: [
+    ['↑ ↓ ← →', 'Turn the camera'],
+    ['+ −', 'Nearer, farther'],
+  ],
+};
+
 const SHOWN: Record<string, string> = { ' ': 'Space', ArrowLeft: '←', ArrowRight: '→', Escape: 'Esc', '-': '−' };
 
 export function shownKey(key: string): string {

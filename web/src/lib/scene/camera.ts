@@ -13,6 +13,8 @@ const FROM = {
 /** What stands in a cell is about so high, m. */
 const TALL_M = 1.3;
 const MARGIN = 0.94;
+const TURN_RAD = MathUtils.degToRad(5);
+const NEARER = 0.9;
 /** From where the robot is followed, and at which height it is looked at, m. */
 const BEHIND = new Vector3(-1.2, -3.6, 2.6);
 const WAIST_M = 0.5;
@@ -41,10 +43,32 @@ export class CameraRig {
     this.controls.minDistance = 1;
     this.controls.maxDistance = 30;
     this.controls.addEventListener('change', moved);
-    this.controls.addEventListener('end', () => {
-      if (this.chosen !== 'follow') this.chosen = null;
-      this.keep();
-    });
+    this.controls.addEventListener('end', () => this.steered());
+    canvas.addEventListener('keydown', (event) => this.press(event));
+    // Who pulls at it with the mouse has not gone there: arrows go on stepping through a record.
+    canvas.addEventListener('focus', () => canvas.matches(':focus-visible') || canvas.blur());
+  }
+
+  /** Steers by a key that is pressed on the picture; while somebody drives, keys are the robot's. */
+  private press(event: KeyboardEvent): void {
+    const { controls } = this;
+    const steer = {
+      ArrowLeft: () => controls.rotateLeft(TURN_RAD),
+      ArrowRight: () => controls.rotateLeft(-TURN_RAD),
+      ArrowUp: () => controls.rotateUp(TURN_RAD),
+      ArrowDown: () => controls.rotateUp(-TURN_RAD),
+      '+': () => controls.dollyIn(NEARER),
+      '-': () => controls.dollyOut(NEARER),
+    }[event.key];
+    if (steer === undefined || this.lent !== null || event.altKey || event.ctrlKey || event.metaKey) return;
+    event.preventDefault();
+    steer();
+    this.steered();
+  }
+
+  private steered(): void {
+    if (this.chosen !== 'follow') this.chosen = null;
+    this.keep();
   }
 
   /** Frames a cell of these bounds, unless this tab remembers where its camera stood. */

@@ -66,7 +66,8 @@ export class CellView {
     this.renderer = new WebGLRenderer({ antialias: !soft, powerPreference: 'high-performance' });
     this.ratio = soft ? 1 : Math.min(devicePixelRatio, 2);
     this.renderer.setPixelRatio(this.ratio);
-    this.host.prepend(this.renderer.domElement);
+    this.host.prepend(this.canvas);
+    Object.assign(this.canvas, { tabIndex: 0, role: 'application', ariaLabel: 'Camera: arrow keys turn it, + and - go nearer and away' });
     this.canvas.addEventListener('webglcontextlost', this.lost);
     this.rig = new CameraRig(this.renderer.domElement, () => this.draw());
     this.labels = new Labels(layer);
