@@ -19,7 +19,7 @@ import struct
 from typing import Annotated, Literal, TypeAlias
 
 import orjson
-from pydantic import BaseModel, ConfigDict, Field, JsonValue, TypeAdapter, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, JsonValue, TypeAdapter, ValidationError
 
 from app.governance.control import GOING_ON
 
@@ -32,6 +32,18 @@ VERSION = 17
 
 Count: TypeAlias = Annotated[int, Field(strict=True, ge=0, lt=2**63)]  # as the record can write down
 Name: TypeAlias = Annotated[str, Field(max_length=4096)]  # a path at most
+
+
+def _passed_on(document: dict[str, JsonValue]) -> dict[str, JsonValue]:
+    """Refuse what JSON can say and nobody can be told of: whoever is shown all cells would be shown none."""
+    try:
+        orjson.dumps(document)
+    except TypeError as error:
+        raise ValueError(f"cannot be passed on ({error}); valid are integers of 64 bits") from error
+    return document
+
+
+Document: TypeAlias = Annotated[dict[str, JsonValue], AfterValidator(_passed_on)]
 
 
 class Message(BaseModel):
@@ -202,7 +214,7 @@ class UpEvent(Message):
     kind: Name
     invocation: Name | None
     actor: Name
-    body: dict[str, JsonValue]
+    body: Document
 
 
 class Sitting(Message):
@@ -258,7 +270,7 @@ class State(Message):
     holding: bool  # the lease lapsed or no welcome yet
     policy_digest: str | None
     profile: str | None
-    facts: dict[str, JsonValue]  # a WorldFacts as plain JSON
+    facts: Document  # a WorldFacts as plain JSON
     gauges: dict[str, float]  # newest watcher signals, for displays
     session: Sitting | None = None
     jog: Jogged | None = None
@@ -271,7 +283,7 @@ class Scene(Message):
     """What is there to be drawn, once in a link: static bodies, shapes and zones, and the order of pose frames."""
 
     type: Literal["scene"] = "scene"
-    scene: dict[str, JsonValue]
+    scene: Document
     bodies: list[str]
     gauges: list[str]
 

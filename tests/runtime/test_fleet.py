@@ -19,6 +19,7 @@ from app.runtime import sessions as sessions_module
 from app.runtime.assembly import Runtime
 from app.runtime.errors import Conflict
 from app.runtime.link import PROTOCOL_VIOLATION
+from app.runtime.outlet import Outlet
 
 from .conftest import AGENT, AT_BENCH, AUDITOR, CELL, OPERATOR, OPERATOR_2, HandCell, House, navigate, until
 
@@ -122,6 +123,27 @@ async def test_a_report_that_cannot_be_recorded_ends_the_link_and_says_why(
     assert cell.closed is not None
     assert cell.closed[0] == PROTOCOL_VIOLATION
     assert runtime.fleet.cell(CELL).up_seq == 0
+
+
+STATE: dict[str, Any] = {
+    "type": "state", "at_s": 1.0, "tick": 1, "invocation": None, "status": None, "latched": False, "holding": False,
+    "policy_digest": None, "profile": None, "facts": AT_BENCH, "gauges": {},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("facts", [{"people_count": 10**30}, {"tools": {"lever": [-(2**64)]}}])
+async def test_a_state_that_nobody_can_be_told_of_ends_its_link_and_keeps_no_console_out(
+    runtime: Runtime, cell: HandCell, facts: dict[str, Any]
+) -> None:
+    assert cell.attachment is not None
+    await cell.attachment.receive(json.dumps({**STATE, "facts": {**AT_BENCH, **facts}}))
+    console = Outlet()
+    runtime.broadcast.join(console, None)
+    async with asyncio.timeout(10.0):
+        assert '"type":"snapshot"' in str(await console.next())
+    await until(lambda: cell.closed is not None)
+    assert cell.closed is not None
+    assert (cell.closed[0], "state.facts" in cell.closed[1]) == (PROTOCOL_VIOLATION, True)
 
 
 async def test_a_cell_has_one_link(runtime: Runtime, cell: HandCell) -> None:
