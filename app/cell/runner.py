@@ -236,7 +236,6 @@ class Runner:
             if session is None:
                 self._record.require_room()
                 self._record.say_first(telling.launch(permit), marks=launched)
-                self._record.sync()
             else:  # it may move: it waits for the disk once it stands, before anything is bound
                 self._record.say(telling.launch(permit), marks=launched)
         except JournalUnavailable as error:
@@ -476,6 +475,10 @@ class Runner:
     def _begin(self, grant: Grant) -> str | None:
         permit, substrate = grant.authorization, self.substrate
         try:
+            self._record.sync()
+        except JournalUnavailable as error:  # the server may have heard already that it was launched: so it ends
+            return self._not_begun(permit.invocation, "journal_unavailable", str(error))
+        try:
             plan, recovery = self._ports.plan_of(grant)
             watcher = compile_watch(plan, substrate.period_s)
             if self._unpowered:
@@ -486,9 +489,7 @@ class Runner:
         except (SubstrateError, ValueError) as error:
             substrate.unbind()
             code = error.failure if isinstance(error, SubstrateError) else "no_plan"
-            ended = telling.outcome(permit.invocation, Outcome.FAULT, code, detail=str(error))
-            self._record.say_anyway(ended, marks={"open": None})
-            return code
+            return self._not_begun(permit.invocation, code, str(error))
         run = Run(
             grant=grant,
             plan=plan,
@@ -506,6 +507,12 @@ class Runner:
         self._session = Session(self._ports, run, self.observation)
         self._record.say_anyway(telling.status(permit.invocation, Status.RUNNING, None, "launched"))
         return None
+
+    def _not_begun(self, invocation: str, code: str, detail: str) -> str:
+        """Say that a session which was launched is over before anything was bound; return why."""
+        ended = telling.outcome(invocation, Outcome.FAULT, code, detail=detail)
+        self._record.say_anyway(ended, marks={"open": None})
+        return code
 
     def _doubted_until_s(self) -> float:
         """Return until when a session that begins now holds against its sensors what leapt before, with nobody there.

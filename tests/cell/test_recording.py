@@ -164,6 +164,26 @@ def test_a_permit_is_good_for_one_launch_though_the_clock_ran_ahead_and_was_put_
     assert rig.runner.launch(signed(id="auth-2", issued_at_s=NOW_S + 4.0, expires_at_s=NOW_S + 34.0)) is None
 
 
+def test_a_launch_that_was_written_and_not_synced_is_over_for_whoever_heard_of_it(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What was written is reported, so a refusal behind it would come too late: the server knows of a session."""
+
+    def busy() -> None:
+        raise JournalUnavailable("the disk has not taken what was to be recorded")
+
+    monkeypatch.setattr(rig.journal, "sync", busy)
+    assert rig.runner.launch(signed()) == "journal_unavailable"
+    monkeypatch.undo()
+    rig.ticks(CATCHING_UP)
+    assert [(entry.kind, entry.body.get("refused"), entry.body.get("code")) for entry in rig.entries] == [
+        ("launch", None, None),
+        ("outcome", None, "journal_unavailable"),
+    ]
+    assert not rig.runner.view().fault
+    assert after_a_restart(rig).marks.get("open") is None
+
+
 # -- a disk that takes its time --------------------------------------------------------------------------------------
 
 
