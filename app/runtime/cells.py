@@ -136,6 +136,9 @@ class Cell:
         default_factory=dict[tuple[str, str], "Human"]
     )  # restraints that it may not have heard
     told: tuple[Line, str] | None = None  # the session that it was told to stop, which nobody believes it to have
+    awaited: dict[str, tuple[str, float]] = field(
+        default_factory=dict[str, "tuple[str, float]"]
+    )  # what its session is waited for to do, upon what, and since when
     onward: tuple[Line, str] | None = None  # the session to go on with, as it was told on that link and has not heard
     restraints: int = 0  # words that hold or end its session, so far
     restrained: dict[tuple[str, str], tuple[int, Human]] = field(
@@ -288,6 +291,15 @@ class Cell:
             case _:
                 message = f"no setting of a cell: `{name}`"
                 raise TypeError(message)
+
+    def awaited_s(self, what: str, upon: str) -> float:
+        """Return for how long its session has been waited for to do something, on the clock that nobody sets."""
+        now_s = monotonic_s()
+        known, since_s = self.awaited.get(what, (None, now_s))
+        if known != upon:
+            since_s = now_s
+            self.awaited[what] = upon, now_s
+        return now_s - since_s
 
     @property
     def expected(self) -> bool:

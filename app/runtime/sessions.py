@@ -358,18 +358,24 @@ class Sessions:
 
     async def _owing(self, invocation: Invocation, place: Cell) -> None:
         """See to a session whose cell is there, and has said nothing that is not in the log."""
-        now_s, launched_s = self._register.now_s(), invocation.terms.launched_at_s
-        if launched_s is not None and not invocation.terms.confirmed and now_s > launched_s + UNCONFIRMED_S:
+        terms, answered_at = invocation.terms, invocation.updated_at
+        launched_s = None if terms.confirmed else terms.launched_at_s
+        if launched_s is not None and self._late(place, "launch", str(terms.authorization), launched_s, UNCONFIRMED_S):
             self._fleet.restrain(place, Human(invocation=invocation.id, op="stop", actor=SERVER))
             await self._fault(invocation.id, "launch_unconfirmed", "the cell never confirmed the launch")
         elif (
             invocation.status is Status.ESCALATED
             and self._desk.pending_for(invocation.id) is None
-            and now_s > parse_rfc3339(invocation.updated_at) + GOES_ON_S
+            and self._late(place, "answer", answered_at, parse_rfc3339(answered_at), GOES_ON_S)
         ):  # what lets it go on is sent once, and may be lost or refused
             message = "it was answered, and the session waits all the same"
             place.onward = None
             await self._ask(invocation.id, "not_gone_on", message)
+
+    def _late(self, place: Cell, what: str, upon: str, since_s: float, most_s: float) -> bool:
+        """Say whether a session has been waited for too long, by either clock: the wall's may have been put back."""
+        waited_s = place.awaited_s(what, upon)
+        return waited_s > most_s or self._register.now_s() > since_s + most_s
 
     async def _phase(self, invocation: Invocation) -> str | None:
         """Return the phase that a held session waits for, by the last question about it."""

@@ -367,6 +367,45 @@ async def test_whoever_lets_a_session_go_on_that_does_not_is_asked_again(
         assert again.ops() == [], "what lets something move is never kept"
 
 
+async def test_who_let_a_session_go_on_is_asked_again_though_the_clock_was_put_back(
+    house: House, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async with house.open() as runtime:
+        cell = await slow_cell(runtime)
+        name = await running(runtime, cell)
+        await cell.report("escalation", name, reason="separation_m")
+        question = runtime.desk.pending_for(name)
+        assert question is not None
+        house.wall_s.offset_s = -3600.0
+        await stuck(cell)
+        await runtime.desk.resolve(question.id, OPERATOR, "approve", question.digest)
+        await cell.hang_up()
+        again = await back(runtime, cell, status="escalated")
+        await again.state()
+        await runtime.fleet.tend_once()
+        assert runtime.desk.pending_for(name) is None, "it has just been told, for all anybody knows"
+        monkeypatch.setattr("app.runtime.sessions.GOES_ON_S", 0.0)
+        await runtime.fleet.tend_once()
+        asked = runtime.desk.pending_for(name)
+        assert asked is not None
+        assert asked.reasons[0]["code"] == "not_gone_on"
+
+
+async def test_a_launch_nobody_confirms_is_a_fault_though_the_clock_was_put_back(
+    house: House, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async with house.open() as runtime:
+        cell = await slow_cell(runtime)
+        document, _ = await runtime.governor.propose(AGENT, navigate())
+        house.wall_s.offset_s = -3600.0
+        await runtime.fleet.tend_once()
+        assert (await runtime.governor.invocation(document["id"], AGENT))["status"] == "running"
+        monkeypatch.setattr("app.runtime.sessions.UNCONFIRMED_S", 0.0)
+        await runtime.fleet.tend_once()
+        assert (await runtime.governor.invocation(document["id"], AGENT))["outcome"] == "fault"
+        await until(lambda: cell.ops() == ["stop"])
+
+
 @pytest.mark.parametrize("decision", ["approve", "deny"])
 async def test_who_answers_before_the_cell_has_said_why_it_asks_is_not_asked_again(
     runtime: Runtime, cell: HandCell, decision: str
