@@ -19,6 +19,7 @@ from app.api.listing import Digits, Filter, Identifier, PageQuery
 from app.api.openapi import Answers, answer, declare
 from app.api.parts import parts_of
 from app.api.problems import Problem
+from app.api.staying import while_there
 from app.api.wire import CheckBody, EmptyBody, ProposalBody, read_body, read_idempotency_key, read_optional
 from app.clock import parse_rfc3339
 from app.governance.model import Mode, Role, Status, Strategy
@@ -114,9 +115,9 @@ async def invocation(request: Request, id: Identifier, query: Annotated[WaitQuer
     if not query.wait:
         return answer(await parts.governor.invocation(id, principal))
     with parts.waits.take(principal.name):
-        document = await parts.governor.wait(id, principal, query.wait, query.seen)
+        document = await while_there(request, parts.governor.wait(id, principal, query.wait, query.seen))
     caller(request)  # who may have had their token withdrawn meanwhile
-    return answer(document)
+    return answer(document)  # which nobody reads, where they have hung up
 
 
 async def invocations(request: Request, query: Annotated[InvocationQuery, Query()]) -> Response:

@@ -1,4 +1,4 @@
-"""Whoever stays, on a stream or a socket, is asked again who they are.
+"""Whoever stays, on a stream or a socket, is asked again who they are; whoever has hung up stays no longer.
 
 A request is let in once and is soon over. What lasts outlives its token, which expires, is withdrawn or comes to stand
 for another role meanwhile: it ends within about a second of that.
@@ -7,12 +7,16 @@ for another role meanwhile: it ends within about a second of that.
 from __future__ import annotations
 
 import asyncio
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 from app.api.problems import Problem
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Coroutine
+
+    from starlette.requests import Request
+
+T = TypeVar("T")
 
 STILL_KNOWN_S: Final = 1.0
 SHOWN_OUT: Final = 4000
@@ -32,6 +36,27 @@ async def until_refused(let_in: Callable[[], object]) -> Problem:
             let_in()
         except Problem as problem:
             return problem
+
+
+async def while_there(request: Request, waiting: Coroutine[Any, Any, T]) -> T | None:
+    """Return what somebody waits for, or None where they have hung up before it came.
+
+    Args:
+        request: theirs, its body read.
+        waiting: what they wait for; it is cancelled once nobody does.
+    """
+    waited, gone = asyncio.ensure_future(waiting), asyncio.ensure_future(_hung_up(request))
+    try:
+        await asyncio.wait({waited, gone}, return_when=asyncio.FIRST_COMPLETED)
+        return waited.result() if waited.done() else None
+    finally:
+        waited.cancel()
+        gone.cancel()
+
+
+async def _hung_up(request: Request) -> None:
+    while (await request.receive())["type"] != "http.disconnect":
+        pass
 
 
 def close_code(refusal: Problem) -> int:

@@ -75,6 +75,19 @@ async def test_a_long_poll_returns_at_the_next_change(house: House) -> None:
         await eventually(lambda: house.runtime.register.newest(document["id"]) is None)
 
 
+async def test_whoever_hung_up_waits_no_longer(house: House) -> None:
+    waits = house.app.state.parts.waits
+    async with house.cell() as cell, house.client() as agent:
+        document = (await agent.post("/v1/invocations", json=DRIVE)).json()
+        await eventually(lambda: house.runtime.register.newest(document["id"]).terms.confirmed)
+        polling = asyncio.create_task(agent.get(f"/v1/invocations/{document['id']}?wait=60"))
+        await eventually(lambda: waits.taken)
+        polling.cancel()
+        await eventually(lambda: not waits.taken)
+        await cell.end("succeeded")
+        await eventually(lambda: house.runtime.register.newest(document["id"]) is None)
+
+
 async def test_whoever_waits_when_the_server_stops_is_answered_with_what_there_is(
     house: House, monkeypatch: pytest.MonkeyPatch
 ) -> None:
