@@ -32,6 +32,7 @@ if TYPE_CHECKING:
 PATH = "/v1/cells/{id}/link"
 POLICY_VIOLATION = 1008
 NO_HELLO = 4408
+MOST_BYTES = 120  # of why a socket is closed; one that is closed for more is cut without a word
 
 
 class SocketLink:
@@ -49,7 +50,7 @@ class SocketLink:
         """Close the socket, if it is still open."""
         if self._socket.application_state is WebSocketState.CONNECTED:
             with contextlib.suppress(RuntimeError, WebSocketDisconnect):  # it closed from the other side meanwhile
-                await self._socket.close(code, reason)
+                await self._socket.close(code, reason.encode()[:MOST_BYTES].decode(errors="ignore"))
 
 
 async def link(socket: WebSocket) -> None:

@@ -54,6 +54,20 @@ async def test_a_link_on_which_nothing_is_said_ends(house: House, monkeypatch: p
     assert (ended.value.rcvd.code, ended.value.rcvd.reason) == (4408, "no `hello` came within 0.2 s")
 
 
+async def test_a_link_ends_with_why_in_whatever_letters_it_was_wrong(house: House) -> None:
+    headers = {"Authorization": f"Bearer {house.cell_token}"}
+    hello = {
+        "type": "hello", "cell": "stranger", "boot": "b", "robot": "r", "policy_digest": None, "profile": None,
+        "invocation": None, "latched": False, "journal": "j", "last_seq": 0,
+    }  # fmt: skip
+    event = {"type": "event", "seq": 1, "at_s": 0.0, "tick": 0, "kind": "ü" * 200, "actor": "cell"}
+    async with connect(link_url(house, "stranger"), additional_headers=headers, proxy=None) as socket:
+        await socket.send(orjson.dumps(hello).decode())
+        await socket.send(orjson.dumps({**event, "invocation": None, "body": {}}).decode())
+        await asyncio.wait_for(socket.wait_closed(), 10.0)
+    assert (socket.close_code, socket.close_reason[:26]) == (1002, "a cell does not report `üü")
+
+
 @pytest.mark.parametrize("name", [b"inv_\xff", "übung".encode()])
 def test_a_frame_of_telemetry_that_names_no_invocation_is_malformed(name: bytes) -> None:
     frame = bytearray(pack_batch("", bytes(ROW.size)))
