@@ -20,6 +20,7 @@ import orjson
 
 from app.clock import monotonic_s, wall_s
 from app.runtime.outlet import Key, Outlet
+from app.runtime.shortened import shown_event, shown_invocation
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -44,6 +45,7 @@ REFRESH_S: Final = 1.0  # facts and gauges of a cell that otherwise has not chan
 KEPT_BEATS: Final = 256  # for as long as anything may be on its way that names one
 KEPT_EVENTS: Final = 2000
 SHOWN_EVENTS: Final = 200
+SNAPSHOT_BYTES: Final = 8 * 1024 * 1024  # of events: a console has to take it before it falls behind
 SHOWN_INVOCATIONS: Final = 20
 PAGE: Final = 1000
 GOING_AWAY: Final = 1001
@@ -88,7 +90,7 @@ class Broadcast:
         older: list[Event] = []
         first = self._events[0].seq if self._events else None
         while page := await self._store.events(after=after, limit=PAGE):
-            older.extend(event for event in page if first is None or event.seq < first)
+            older.extend(shown_event(event) for event in page if first is None or event.seq < first)
             after = page[-1].seq
             if first is not None and after >= first:
                 break
@@ -155,10 +157,11 @@ class Broadcast:
     # -- what changes ------------------------------------------------------------------------------------------------
 
     def _committed(self, events: tuple[Event, ...]) -> None:
-        self._events.extend(events)
+        shown = [shown_event(event) for event in events]
+        self._events.extend(shown)
         self.seq = events[-1].seq
         if self._consoles:
-            self._fresh.extend(events)
+            self._fresh.extend(shown)
             self._schedule(self._tick_s)
 
     def _shown(self, version: Invocation) -> None:
@@ -243,7 +246,7 @@ class Broadcast:
         if self._fresh:
             parts.append(b'"events":' + _events(self._fresh))
         if invocations := self._changed_invocations():
-            parts.append(b'"invocations":' + orjson.dumps([one.public() for one in invocations]))
+            parts.append(b'"invocations":' + _array(map(shown_invocation, invocations)))
         for name, changed in (
             (b"escalations", self._escalations),
             (b"grants", self._grants),
@@ -307,9 +310,16 @@ class Broadcast:
         self._joining = {}
 
     def _behind(self, after: int | None) -> list[Event]:
+        """Return what a console has not seen: as much as is kept, or fits."""
+        kept = list(self._events)
         if after is None or after > self.seq:  # a `seq` this log has not reached is another log's
-            return list(self._events)[-SHOWN_EVENTS:]
-        return [event for event in self._events if event.seq > after]
+            kept, after = kept[-SHOWN_EVENTS:], 0
+        room = SNAPSHOT_BYTES
+        for place in range(len(kept) - 1, -1, -1):
+            room -= len(kept[place].body)
+            if room < 0 or kept[place].seq <= after:
+                return kept[place + 1 :]
+        return kept
 
     def _documents(self) -> bytes:
         cells = [self._fleet.document(cell) for cell in self._fleet.cells()]
@@ -319,7 +329,7 @@ class Broadcast:
         invocations = {**self._newest, **living}
         documents = {
             "cells": cells,
-            "invocations": [one.public() for one in invocations.values()],
+            "invocations": orjson.Fragment(_array(map(shown_invocation, invocations.values()))),
             "escalations": [one.public() for one in self._desk.pending()],
             "grants": [one.public() for one in self._desk.grants.active()],
             "reviews": [one.public() for one in self._desk.reviews.waiting()],
@@ -336,8 +346,12 @@ class Broadcast:
 
 
 def _events(events: Iterable[Event]) -> bytes:
-    """Return events as a JSON array; each is in the bytes that were hashed."""
-    return b"[" + b",".join(event.body for event in events) + b"]"
+    """Return events as a JSON array; each is in the bytes that were hashed, or shortened."""
+    return _array(event.body for event in events)
+
+
+def _array(items: Iterable[bytes]) -> bytes:
+    return b"[" + b",".join(items) + b"]"
 
 
 def _steady(document: Mapping[str, Any]) -> Mapping[str, Any]:

@@ -348,6 +348,37 @@ async def test_of_a_flood_of_refusals_events_tell_all_and_documents_the_newest(h
         assert screen.seqs()[-1] == other.seqs()[-1]
 
 
+async def test_an_agent_that_says_a_lot_keeps_no_console_out(house: House) -> None:
+    lot = {f"word_{number}": "x" * 4_000 for number in range(58)}
+    async with signed_in(house) as there, house.client() as agent, house.client("auditor") as auditor:
+        await there.until(lambda message: message["type"] == "snapshot")
+        for _ in range(20):
+            assert (await agent.post("/v1/invocations", json={**NOTHING, "metadata": lot})).status_code == 201
+            assert (await agent.post("/v1/invocations", json={**NOTHING, "params": lot})).status_code == 201
+        last = house.runtime.store.size
+        await there.until(lambda message: message.get("seq") == last)
+        async with signed_in(house) as late:
+            snapshot = await late.until(lambda message: message["type"] == "snapshot")
+        proposals = [event for event in snapshot["events"] if event["kind"] == "proposal"]
+        assert [event["body"]["left_out"] for event in proposals[-2:]] == [["metadata"], ["filled", "params"]]
+        assert [len(one["requested"]) for one in snapshot["invocations"]] == [0] * SHOWN_INVOCATIONS
+        assert [event["seq"] for event in snapshot["events"]][-1] == last
+        whole = await auditor.get(f"/v1/audit/events?after={proposals[-2]['seq'] - 1}&limit=1")
+        assert whole.json()["items"][0]["body"]["metadata"] == lot
+
+
+@pytest.mark.parametrize(("room", "shown"), [(10**6, 6), (0, 0)])
+async def test_a_snapshot_holds_no_more_than_a_console_can_take(
+    house: House, monkeypatch: pytest.MonkeyPatch, room: int, shown: int
+) -> None:
+    seen = house.runtime.store.size
+    await propose(house, 3)
+    monkeypatch.setattr(broadcast, "SNAPSHOT_BYTES", room)
+    async with signed_in(house, after=seen) as screen:
+        snapshot = await screen.until(lambda message: message["type"] == "snapshot")
+    assert (len(snapshot["events"]), snapshot["seq"]) == (shown, seen + 6)
+
+
 async def test_a_console_that_comes_back_misses_nothing(house: House) -> None:
     async with signed_in(house) as screen:
         seen = (await screen.until_type("snapshot"))["seq"]
