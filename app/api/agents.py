@@ -121,7 +121,7 @@ async def invocation(request: Request, id: Identifier, query: Annotated[WaitQuer
 
 
 async def invocations(request: Request, query: Annotated[InvocationQuery, Query()]) -> Response:
-    """List invocations, newest first; an agent's list holds its own."""
+    """List invocations, newest first; an agent's list holds its own. Of long ones a page holds fewer than `limit`."""
     filters = query.model_dump(mode="json", include={"status", "capability", "agent", "cell"})
     items, following = await parts_of(request).governor.list(
         caller(request), filters, limit=query.limit, cursor=query.cursor

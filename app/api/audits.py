@@ -27,6 +27,7 @@ from app.api.problems import Problem, as_problem
 from app.api.staying import CUT, until_refused
 from app.audit.checkpoint import parse_checkpoint
 from app.audit.errors import AuditError, RecordDamaged
+from app.audit.reader import fitting
 from app.audit.telemetry_reading import read_telemetry, telemetry_file
 from app.clock import rfc3339
 
@@ -267,7 +268,10 @@ async def _chunks(feed: Feed, after: int, let_in: Callable[[], object]) -> Async
                     return
                 if batch is None:
                     return
-                yield b"".join(as_sse(event) for event in batch)
+                while batch:  # in pieces: a batch of long ones would hold everybody up
+                    count = fitting(len(event.body) for event in batch)
+                    yield b"".join(map(as_sse, batch[:count]))
+                    batch = batch[count:]
         finally:
             refused.cancel()
             if waiting is not None:

@@ -16,6 +16,7 @@ from starlette.responses import Response
 from app.api.listing import MAX_SEQ, Digits, Filter, within_the_log
 from app.api.openapi import answer
 from app.api.parts import parts_of
+from app.audit.reader import fitting
 from app.audit.searching import Words
 from app.clock import parse_rfc3339, rfc3339
 from app.governance.model import EventKind
@@ -102,7 +103,8 @@ async def events(request: Request, query: Annotated[EventQuery, Query()]) -> Res
     """Return events of the log in order of `seq`, the oldest first.
 
     `next` is the `after` that continues, null at the end. With `order=newest` the newest come first, and `next` is the
-    `before` that continues: what is recorded meanwhile moves no page.
+    `before` that continues: what is recorded meanwhile moves no page. Of events that are long a page holds fewer than
+    `limit`.
 
     With `text` the events themselves are read. One request looks at 50,000 of them at most, and for about a second: it
     may find fewer than `limit`, or none, and yet there is a `next` from which the search goes on. `searched` says how
@@ -116,8 +118,9 @@ async def events(request: Request, query: Annotated[EventQuery, Query()]) -> Res
 
 async def _page(store: AuditStore, query: EventQuery) -> dict[str, Any]:
     filters = query.filters()
-    found = await store.events(**filters, **query.span(), limit=query.limit)
-    following = found[-1].seq if len(found) == query.limit else None
+    all_found = await store.events(**filters, **query.span(), limit=query.limit)
+    found = all_found[: fitting(len(event.body) for event in all_found)]
+    following = found[-1].seq if len(found) == query.limit or len(found) < len(all_found) else None
     if following is not None and not await store.events(**filters, **query.span(following), limit=1):
         following = None  # a page may end just where the log does
     return {"items": [orjson.Fragment(event.body) for event in found], "next": following}

@@ -22,11 +22,12 @@ from app.clock import monotonic_s, rfc3339
 from app.governance.model import EventKind
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Mapping
+    from collections.abc import Collection, Iterable, Mapping
     from pathlib import Path
 
 Row = dict[str, Any]
 MAX_LIMIT = 1000
+MAX_PAGE_BYTES = 4 * 1024 * 1024  # that are read and written in one go: meanwhile nothing else goes on
 PRIMARY = 0xFF  # of SQLite's codes: the rest says which of a kind it is
 FAILURES = (SQLAlchemyError, sqlite3.Error, UnicodeDecodeError)  # the last where SQLite cites a damaged schema
 LOOK_EVERY = 10_000  # of SQLite's own steps, between two looks at the clock
@@ -361,7 +362,7 @@ class Reader:
         Args:
             table: one that has `created_seq`.
             filters: values by column; None does not filter, a tuple means any of its values.
-            limit: at most so many, 1 to 1000.
+            limit: at most so many, 1 to 1000; fewer where they hold more than `MAX_PAGE_BYTES`.
             cursor: the `next` of the page before.
 
         Raises:
@@ -375,10 +376,24 @@ class Reader:
         if cursor is not None:
             query = query.where(age < sa.tuple_(*(sa.literal(part) for part in parse_cursor(table, cursor))))
         query = query.order_by(columns[STORE_GIVEN].desc(), columns.id.desc()).limit(bounded(limit) + 1)
-        items = [as_dict(STATE[table], row) for row in self._all(query)]
-        more = len(items) > limit
-        items = items[:limit]
+        items, more = self._fitting(STATE[table], query, limit)
         return Page(items, _cursor(table, f"{items[-1][STORE_GIVEN]}.{items[-1]['id']}") if more else None)
+
+    def _fitting(self, table: sa.Table, query: sa.Select[Any], limit: int) -> tuple[list[Row], bool]:
+        """Return the first rows of a query, as many as go on a page, and whether there are more; no others are read."""
+        items: list[Row] = []
+        size = 0
+        try:
+            with self._engine.connect() as connection, closing(connection.execute(query)) as found:
+                for row in found:
+                    item = as_dict(table, row)
+                    size += sum(len(value) for value in item.values() if isinstance(value, bytes))
+                    if len(items) == limit or (items and size > MAX_PAGE_BYTES):
+                        return items, True
+                    items.append(item)
+        except FAILURES as error:
+            raise self._failure(error) from error
+        return items, False
 
     def _all(self, query: sa.Select[*tuple[Any, ...]] | sa.TextClause) -> list[sa.Row[*tuple[Any, ...]]]:
         try:
@@ -441,6 +456,17 @@ def filtered(table: sa.Table, filters: Mapping[str, Any] | None) -> sa.Select[An
         elif value is not None:
             query = query.where(table.c[name] == value)
     return query
+
+
+def fitting(sizes: Iterable[int]) -> int:
+    """Return how many of these many bytes go on a page: as many as fit, and one in any case."""
+    count, room = 0, MAX_PAGE_BYTES
+    for size in sizes:
+        room -= size
+        if count and room < 0:
+            break
+        count += 1
+    return count
 
 
 def bounded(limit: int) -> int:

@@ -15,7 +15,7 @@ import pytest
 from mcap.writer import Writer
 
 from app.api import audits
-from app.audit import searching
+from app.audit import reader, searching
 from app.audit.event import EventDraft
 from app.audit.telemetry import TelemetryWriter, channels
 from tests.api.conftest import House, open_house
@@ -45,6 +45,41 @@ async def events_of(answer: httpx.Response) -> AsyncIterator[dict[str, Any]]:
         elif not line and event:
             yield event
             event = {}
+
+
+@pytest.mark.parametrize("most", [1, 2_000])
+@pytest.mark.parametrize("order", ["oldest", "newest"])
+async def test_what_is_long_comes_in_more_pages_without_gap(
+    house: House, monkeypatch: pytest.MonkeyPatch, most: int, order: str
+) -> None:
+    names = await refuse(house, 5)
+    last = house.runtime.store.size
+    monkeypatch.setattr(reader, "MAX_PAGE_BYTES", most)
+    bound = "after" if order == "oldest" else "before"
+    listed: list[str] = []
+    seen: list[int] = []
+    async with house.client("auditor") as auditor:
+        page = (await auditor.get(f"/v1/audit/events?order={order}")).json()
+        assert 1 <= len(page["items"]) < last
+        while True:
+            seen += [event["seq"] for event in page["items"]]
+            if page["next"] is None:
+                break
+            page = (await auditor.get(f"/v1/audit/events?order={order}&{bound}={page['next']}")).json()
+        page = (await auditor.get("/v1/invocations")).json()
+        assert 1 <= len(page["items"]) < len(names)
+        while True:
+            listed += [one["id"] for one in page["items"]]
+            if page["next"] is None:
+                break
+            page = (await auditor.get(f"/v1/invocations?cursor={page['next']}")).json()
+        async with auditor.stream("GET", "/v1/events?after=0") as answer:
+            told = events_of(answer)
+            streamed = [(await anext(told))["id"] for _ in range(last)]
+    everything = list(range(1, last + 1))
+    assert seen == (everything if order == "oldest" else everything[::-1])
+    assert (listed[: len(names)], len(set(listed))) == (names[::-1], len(listed))
+    assert streamed == everything
 
 
 async def test_pages_through_the_log_without_gap(house: House) -> None:
