@@ -61,7 +61,7 @@ def rebuild(events: Iterable[Event]) -> dict[str, Any]:
     known: dict[str, Any] = {}
     for event in events:
         known.setdefault("id", event.invocation)
-        if "created_seq" not in known or (event.kind == EventKind.PROPOSAL and "agent" not in known):
+        if "created_seq" not in known or ("agent" not in known and _begins(event)):
             known["created_seq"] = event.seq  # a stop of the cell may be written down before what it met is
         states = _STATES.get(event.kind)
         if states is None:
@@ -74,6 +74,13 @@ def rebuild(events: Iterable[Event]) -> dict[str, Any]:
         except (AttributeError, KeyError, TypeError, ValueError) as error:
             raise ValueError(f"event `{event.seq}` cannot be followed: {error!r}") from error
     return {name: value for name, value in known.items() if name not in _BETWEEN and value is not _UNSTATED}
+
+
+def _begins(event: Event) -> bool:
+    """Say whether an event is the one that an invocation's row was written with first."""
+    if event.kind == EventKind.HUMAN:
+        return event.payload().get("op") == TAKEOVER
+    return event.kind == EventKind.PROPOSAL
 
 
 def differences(row: Row, known: Mapping[str, Any]) -> list[str]:

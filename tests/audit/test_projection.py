@@ -136,6 +136,7 @@ STATES: list[tuple[tuple[Told, ...], dict[str, Any]]] = [
     ((("human", {"op": "estop"}), PROPOSAL, ADMISSION), {"created_seq": 8, "agent": "planner", "capability": "navigate_to"}),
     ((PROPOSAL, ("human", {"op": "estop"}), PROPOSAL), {"created_seq": 7}),
     ((TAKEN, ("human", {"op": "estop"})), {"created_seq": 7, "capability": "takeover"}),
+    ((("human", {"op": "estop"}), ("human", {"op": "reset"}), TAKEN), {"created_seq": 9, "capability": "takeover"}),
 ]  # fmt: skip
 
 

@@ -16,7 +16,7 @@ import pytest
 
 from app.audit.examination import Examination, examine, examine_file
 from app.audit.places import Places, load_verifier
-from tests.runtime.conftest import AGENT, CELL, OPERATOR, HandCell, House, navigate
+from tests.runtime.conftest import AGENT, CELL, OPERATOR, OPERATOR_2, HandCell, House, navigate
 
 pytestmark = pytest.mark.anyio
 
@@ -45,8 +45,9 @@ def rewritten(folder: Path, name: str, **changes: Any) -> bytes:
     return orjson.dumps({**orjson.loads(document), **changes})
 
 
-async def test_a_stop_that_is_written_down_before_the_proposal_it_met_changes_nothing_of_it(
-    house: House, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("by", ["agent", "hand"])
+async def test_a_stop_that_is_written_down_before_what_it_met_changes_nothing_of_it(
+    house: House, monkeypatch: pytest.MonkeyPatch, by: str
 ) -> None:
     async with house.open() as runtime:
         cell = await HandCell(runtime).dial()
@@ -60,13 +61,18 @@ async def test_a_stop_that_is_written_down_before_the_proposal_it_met_changes_no
             return await append(*arguments, **named)
 
         monkeypatch.setattr(runtime.register, "append", late)
-        proposing = asyncio.create_task(runtime.governor.propose(AGENT, navigate()))
+        if by == "agent":
+            beginning = asyncio.create_task(runtime.governor.propose(AGENT, navigate()))
+        else:
+            beginning = asyncio.create_task(runtime.governor.take_cell(CELL, OPERATOR_2))
         await begun.wait()
+        name = runtime.fleet.cell(CELL).claim
+        assert name is not None
         await runtime.governor.estop(CELL, OPERATOR)
         go.set()
-        name = (await proposing)[0]["id"]
-        told = [event["kind"] for event in await runtime.governor.trace(name, OPERATOR)]
-        assert told[:2] == ["human", "proposal"]
+        await asyncio.gather(beginning, return_exceptions=True)  # whose controls the stop has taken away
+        told = [event["body"].get("op", event["kind"]) for event in await runtime.governor.trace(name, OPERATOR)]
+        assert told[:2] == ["estop", "proposal" if by == "agent" else "takeover"]
     assert examine_file(house.folder).ok
 
 
