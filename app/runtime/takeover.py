@@ -87,7 +87,7 @@ class Takeovers(Handbacks):
         finally:
             if cell.unrecorded == document.get("lease"):
                 cell.unrecorded = ""
-        return document
+        return _theirs(cell, document)
 
     @uncut
     async def take_cell(self, cell_id: str, principal: Principal, after: int | None = None) -> dict[str, Any]:
@@ -133,7 +133,7 @@ class Takeovers(Handbacks):
         except BaseException:
             cell.control = before
             raise
-        return document
+        return _theirs(cell, document)
 
     def _allow_takeover(self, profile: str) -> None:
         refused = refusal(self.kernel.policy, profile, AuthorityMode.TAKEOVER_ENABLED)
@@ -354,6 +354,13 @@ class Takeovers(Handbacks):
             return None
         refused = refusal(self.kernel.policy, driven.profile, AuthorityMode.TAKEOVER_ENABLED)
         return None if refused is None else {"op": "control_withdrawn", "reasons": reasons_document((refused,))}
+
+
+def _theirs(cell: Cell, document: dict[str, Any]) -> dict[str, Any]:
+    """Return a lease that holds still: while it was recorded a stop, a lost link or silence may have ended it."""
+    if cell.control is None or cell.control.lease != document["lease"]:
+        raise Conflict("takeover_refused", f"the controls of `{cell.id}` were let go of meanwhile")
+    return document
 
 
 def _held_to(judgement: Judgement) -> None:

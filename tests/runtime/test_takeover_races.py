@@ -111,6 +111,31 @@ async def test_a_takeover_that_ends_no_pause_needs_to_have_seen_nothing(
     assert (await runtime.governor.take_over(driving, OPERATOR, seen))["invocation"] == driving
 
 
+@pytest.mark.parametrize("how", ["link", "estop"])
+@pytest.mark.parametrize("idle", [True, False])
+async def test_nobody_is_told_that_they_have_what_was_taken_from_them_while_that_was_recorded(
+    runtime: Runtime, cell: HandCell, monkeypatch: pytest.MonkeyPatch, how: str, idle: bool
+) -> None:
+    if not idle:
+        document, _ = await runtime.governor.propose(AGENT, navigate())
+        await cell.launched(document["id"])
+    gate = Gate(runtime, monkeypatch)
+    name = None if idle else runtime.fleet.cell(CELL).claim
+    governor = runtime.governor
+    taking = asyncio.create_task(
+        governor.take_cell(CELL, OPERATOR) if name is None else governor.take_over(name, OPERATOR)
+    )
+    await gate.reached.wait()
+    if how == "link":
+        aside = asyncio.create_task(cell.hang_up())
+    else:
+        aside = asyncio.create_task(governor.estop(CELL, OPERATOR_2))
+    await until(lambda: runtime.fleet.cell(CELL).control is None)
+    gate.open.set()
+    assert (await refused(taking)).code == "takeover_refused"
+    await asyncio.wait({aside})
+
+
 async def test_what_was_launched_before_a_takeover_and_is_told_of_after_it_ends_no_takeover(
     runtime: Runtime, cell: HandCell
 ) -> None:
