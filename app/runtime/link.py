@@ -51,6 +51,7 @@ if TYPE_CHECKING:
 MAX_WAITING_FRAMES: Final = 256
 MAX_WAITING_EVENTS: Final = 4096
 BATCH_EVENTS: Final = 256
+MAX_SHOWN: Final = 256 * 1024  # characters of a state, or anything else that everybody is shown ten times a second
 RETRY_S: Final = 0.5
 DEAD_S: Final = 1.0  # a link that has been silent so long may be replaced
 SILENT_S: Final = 6.0  # and after this it is closed: the socket may hang half open
@@ -228,6 +229,8 @@ class Attachment:
             case UpEvent():
                 self._queue(message)
             case _:
+                if len(frame) > MAX_SHOWN and not isinstance(message, Scene):
+                    raise ProtocolError(f"a `{message.type}` of `{len(frame)}` characters: valid are `{MAX_SHOWN}`")
                 self._show(message)
 
     def _show(self, message: State | Scene | Path | Sighting | Beat) -> None:

@@ -131,9 +131,16 @@ STATE: dict[str, Any] = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("facts", [{"people_count": 10**30}, {"tools": {"lever": [-(2**64)]}}])
+@pytest.mark.parametrize(
+    ("facts", "why"),
+    [
+        ({"people_count": 10**30}, "state.facts"),
+        ({"tools": {"lever": [-(2**64)]}}, "state.facts"),
+        ({"tools": {f"lever_{number}": "x" * 1000 for number in range(17_000)}}, "a `state` of `17"),
+    ],
+)
 async def test_a_state_that_nobody_can_be_told_of_ends_its_link_and_keeps_no_console_out(
-    runtime: Runtime, cell: HandCell, facts: dict[str, Any]
+    runtime: Runtime, cell: HandCell, facts: dict[str, Any], why: str
 ) -> None:
     assert cell.attachment is not None
     await cell.attachment.receive(json.dumps({**STATE, "facts": {**AT_BENCH, **facts}}))
@@ -143,7 +150,7 @@ async def test_a_state_that_nobody_can_be_told_of_ends_its_link_and_keeps_no_con
         assert '"type":"snapshot"' in str(await console.next())
     await until(lambda: cell.closed is not None)
     assert cell.closed is not None
-    assert (cell.closed[0], "state.facts" in cell.closed[1]) == (PROTOCOL_VIOLATION, True)
+    assert (cell.closed[0], why in cell.closed[1]) == (PROTOCOL_VIOLATION, True)
 
 
 async def test_a_cell_has_one_link(runtime: Runtime, cell: HandCell) -> None:
