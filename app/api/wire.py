@@ -3,7 +3,7 @@
 JSON parsers forgive what a safety case cannot: of two equal keys one wins silently, `NaN` and `1e999` become numbers, a
 long integer becomes another one, half a surrogate pair becomes text that cannot be stored. Here each of them is
 refused, with the place where it stands. Bodies are bounded before they are parsed (256 kB, also while streaming),
-nesting at 32, a text at 4,096 characters.
+nesting at 32, what they hold at 10,000 values, a text at 4,096 characters.
 FastAPI's own body parsing is not used.
 """
 
@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 
 MAX_BODY_BYTES = 256 * 1024
 MAX_DEPTH = 32
+MAX_VALUES = 10_000  # each costs some twenty steps of the interpreter, during which nobody else is heard
 MAX_TEXT = 4096
 MAX_NAME = 128
 MAX_ITEMS = 64
@@ -315,15 +316,17 @@ def parse(raw: bytes) -> object:
     Raises:
         Problem: 422 `malformed_json`, with the position: no JSON, no UTF-8, NaN or an infinity, a number beyond double
         range, an integer that no double or no 64 bits hold exactly, half a surrogate pair, a key given twice, nesting
-        deeper than 32.
+        deeper than 32, more than 10,000 values.
     """
     try:
         value = orjson.loads(raw)
     except orjson.JSONDecodeError as error:
         raise _malformed(_explain(raw, error), error.pos, error.lineno, error.colno) from None
-    depth, members = _survey(value)
+    depth, members, values = _survey(value)
     if depth > MAX_DEPTH:
         raise Problem("malformed_json", f"the body nests deeper than `{MAX_DEPTH}` levels")
+    if values > MAX_VALUES:
+        raise Problem("malformed_json", f"the body holds more than `{MAX_VALUES}` values")
     # Every member needs a colon, so as many colons as members leaves no room for a second member of the same name.
     if raw.count(b":") != members:
         _refuse_duplicates(raw)
@@ -413,11 +416,14 @@ def _explain(raw: bytes, error: orjson.JSONDecodeError) -> str:
     return error.msg
 
 
-def _survey(root: Any) -> tuple[int, int]:  # noqa: ANN401  # JSON
-    """Return how many levels a value nests, counted up to the bound, and how many members its objects have."""
-    depth, members = 0, 0
+def _survey(root: Any) -> tuple[int, int, int]:  # noqa: ANN401  # JSON
+    """Return how deep a value nests, how many members its objects have, and of how many values it is made.
+
+    What goes beyond the bounds of the first and the last is not counted on.
+    """
+    depth, members, values = 0, 0, 1
     level: list[Any] = [root]
-    while level and depth <= MAX_DEPTH:
+    while level and depth <= MAX_DEPTH and values <= MAX_VALUES:
         below: list[Any] = []
         containers = False
         for value in level:
@@ -430,8 +436,9 @@ def _survey(root: Any) -> tuple[int, int]:  # noqa: ANN401  # JSON
                 containers = True
                 below.extend(value)
         depth += containers
+        values += len(below)
         level = below
-    return depth, members
+    return depth, members, values
 
 
 def _refuse_duplicates(raw: bytes) -> None:

@@ -11,6 +11,7 @@ from app.api.problems import Problem
 from app.api.wire import (
     MAX_DEPTH,
     MAX_TEXT,
+    MAX_VALUES,
     EmptyBody,
     ProposalBody,
     ResolveBody,
@@ -49,11 +50,24 @@ MALFORMED = {
     "duplicate key in a list": b'{"capability": "x", "params": {"a": [{"b": 1, "b": 1}]}}',
     "duplicate key beside colons in texts": b'{"capability": "a:b:c", "params": {"d:": 1, "d:": 2}}',
     "deep lists": b'{"capability": "x", "params": {"a": ' + b"[" * 40 + b"]" * 40 + b"}}",
+    "many lists": b'{"capability": "x", "metadata": {"a": [' + b"[],{}," * 5_000 + b"[]]}}",
+    "many numbers": b'{"capability": "x", "metadata": {"a": [' + b"0," * 10_000 + b"0]}}",
+    "many members": orjson.dumps({"capability": "x", "metadata": {f"m{number}": number for number in range(10_000)}}),
     "very deep lists": b"[" * 100_000 + b"]" * 100_000,
     "deep objects": b'{"a":' * 500 + b"1" + b"}" * 500,
     "deep lists behind a duplicate key": b'{"a": ' + b"[" * 1000 + b"]" * 1000 + b', "a": 1}',
     "deep objects behind a duplicate key": b'{"a": ' + b'{"a":' * 1000 + b"1" + b"}" * 1000 + b', "a": 1}',
 }
+
+
+@pytest.mark.parametrize(("values", "read"), [(MAX_VALUES, True), (MAX_VALUES + 1, False)])
+def test_reads_so_many_values_and_no_more(values: int, read: bool) -> None:
+    body = orjson.dumps([0] * (values - 1))  # and the list itself
+    if read:
+        assert parse(body) == [0] * (values - 1)
+        return
+    with pytest.raises(Problem, match=f"more than `{MAX_VALUES}` values"):
+        parse(body)
 
 
 @pytest.mark.parametrize("raw", MALFORMED.values(), ids=MALFORMED.keys())
