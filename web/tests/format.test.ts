@@ -126,6 +126,11 @@ describe('the keyboard', () => {
     expect([keys.press(key('a'), isTyping(list), takesLetters(list)), keys.press(key('.'), isTyping(list), takesLetters(list)), ran]).toEqual([false, true, ['.']]);
   });
 
+  it('stops from what chooses files, into which nobody types', () => {
+    const chooser = { tagName: 'INPUT', type: 'file' };
+    expect([isTyping(chooser), takesLetters(chooser)]).toEqual([false, false]);
+  });
+
   it('hears in a list beside an answer only what restrains, and has no letter choose there', () => {
     const keys = new Keys();
     const ran: string[] = [];

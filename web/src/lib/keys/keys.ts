@@ -25,7 +25,7 @@ export function isTyping(target: { tagName?: string; type?: string; isContentEdi
   if (target === null) return false;
   if (target.isContentEditable === true) return true;
   if (target.tagName === 'TEXTAREA') return true;
-  const buttons = ['button', 'checkbox', 'radio', 'range', 'submit', 'reset'];
+  const buttons = ['button', 'checkbox', 'radio', 'range', 'submit', 'reset', 'file'];
   return target.tagName === 'INPUT' && !buttons.includes(target.type ?? 'text');
 }
 
