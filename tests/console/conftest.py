@@ -315,12 +315,12 @@ class Floor:
         return self.server.cell()["gauges"].get("base_speed_mps", math.nan)
 
     def clear(self) -> None:
-        until(self._unlatched, what="a cell that no stop latches")
+        until(self.unlatched, what="a cell that no stop latches")
         for invocation in self.made:
             self.server.post(f"/v1/invocations/{invocation}/cancel")
             self.server.await_status(invocation, "denied", "deferred", "completed", "failed")
 
-    def _unlatched(self) -> bool:
+    def unlatched(self) -> bool:
         if not self.server.cell()["latched"]:
             return True
         # Its answer says what a launch would meet: a busy cell may be late to say that it has heard of the reset.

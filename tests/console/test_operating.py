@@ -90,6 +90,26 @@ def test_a_stop_is_heard_while_typing_pressed_from_anywhere_and_left_in_two_step
     assert floor.base() == pytest.approx(stood, abs=0.1)  # a drive would have gone on by metres
 
 
+def test_a_stop_is_heard_while_a_list_is_open_and_the_letters_there_approve_nothing(
+    server: ServerProcess, people: People, floor: Floor
+) -> None:
+    person = people.sit(server)
+    asked = floor.ask()
+    reason = person.page.get_by_label("Reason if denied")
+    expect(person.button("Deny")).to_be_enabled()
+    for choice in (reason, person.page.get_by_label("Cell", exact=True)):
+        choice.click()
+        until(lambda choice=choice: choice.evaluate("(list) => list.matches(':open')"), what="a list that is open")
+        person.press("a")
+        person.press(".")
+        expect(robot(person)).to_contain_text("Stopped, latched")
+        person.press("Escape")
+        expect(choice).to_be_focused()
+        until(floor.unlatched, what="a cell that no stop latches")
+        expect(robot(person)).not_to_contain_text("latched")
+    assert server.get(f"/v1/invocations/{asked['id']}")["status"] == "awaiting_approval"
+
+
 def test_fleet_counts_a_session_from_its_launch_and_not_from_when_it_was_proposed(
     server: ServerProcess, people: People, floor: Floor
 ) -> None:
@@ -301,10 +321,10 @@ def test_a_profile_is_chosen_by_arrow_keys_compared_anew_when_another_changes_it
     card = person.region("workcell-1")
     choice, change = card.get_by_label("Profile", exact=True), card.get_by_role("button", name="Change…")
     choice.focus()
-    person.press("Home")
     names = choice.locator("option").all_inner_texts()
-    for name in names[1:]:
-        person.press("ArrowDown")
+    for place, name in enumerate(names):
+        for key in ("ArrowDown", "Home", *["ArrowDown"] * place, "Enter"):  # the first one opens the list
+            person.press(key)
         expect(choice).to_have_value(name)
     expect(choice).to_be_focused()
     wanted, theirs = [name for name in names if name != before][:2]

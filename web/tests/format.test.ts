@@ -122,6 +122,7 @@ describe('the keyboard', () => {
     keys.onStop(() => ran.push('.'));
     keys.on('a', 'approve', () => ran.push('a'));
     const list = { tagName: 'SELECT' };
+    expect(['OPTION', 'SELECT'].map((tagName) => takesLetters({ tagName }))).toEqual([true, true]); // which has the focus while it is open
     expect([isTyping(list), takesLetters(list), takesLetters({ tagName: 'BUTTON' })]).toEqual([false, true, false]);
     expect([keys.press(key('a'), isTyping(list), takesLetters(list)), keys.press(key('.'), isTyping(list), takesLetters(list)), ran]).toEqual([false, true, ['.']]);
   });

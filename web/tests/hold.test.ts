@@ -152,7 +152,7 @@ describe('keys that drive', () => {
     }
   });
 
-  it.each([{ tagName: 'INPUT', type: 'radio' }, { tagName: 'INPUT', type: 'range' }, { tagName: 'INPUT', type: 'checkbox' }, { tagName: 'SELECT' }, { tagName: 'SUMMARY' }, { tagName: 'TEXTAREA' }])('leave the arrows to $tagName $type', (focused) => {
+  it.each([{ tagName: 'INPUT', type: 'radio' }, { tagName: 'INPUT', type: 'range' }, { tagName: 'INPUT', type: 'checkbox' }, { tagName: 'SELECT' }, { tagName: 'OPTION' }, { tagName: 'SUMMARY' }, { tagName: 'TEXTAREA' }])('leave the arrows to $tagName $type', (focused) => {
     expect(jogKeys.take(key('ArrowDown'), true, takesKeys(focused))).toBe(false);
     expect([said, hold.running]).toEqual([[], false]);
   });

@@ -29,14 +29,14 @@ export function isTyping(target: { tagName?: string; type?: string; isContentEdi
   return target.tagName === 'INPUT' && !buttons.includes(target.type ?? 'text');
 }
 
-/** Whether letters typed into this element are its own: text, or the beginning of a choice in a list. */
+/** Whether letters typed into this element are its own: text, or the beginning of a choice in a list, where an open one has the focus. */
 export function takesLetters(target: Parameters<typeof isTyping>[0]): boolean {
-  return target?.tagName === 'SELECT' || isTyping(target);
+  return ['SELECT', 'OPTION'].includes(target?.tagName ?? '') || isTyping(target);
 }
 
 /** Whether the focused element does something of its own with keys, arrows among them; a button only with Enter and Space. */
 export function takesKeys(target: Parameters<typeof isTyping>[0]): boolean {
-  return isTyping(target) || ['INPUT', 'SELECT', 'SUMMARY'].includes(target?.tagName ?? '');
+  return takesLetters(target) || ['INPUT', 'SUMMARY'].includes(target?.tagName ?? '');
 }
 
 /** Whether it is the picture of a cell, whose camera arrows turn. */
