@@ -237,6 +237,24 @@ def test_a_word_is_given_for_the_change_that_was_read_and_for_no_other(changing:
         put_in_force(changing, active)
 
 
+def test_words_that_turn_their_line_around_are_marked_where_another_gives_the_second_word(
+    changing: ServerProcess, people: People
+) -> None:
+    turned = "from \u202eN 06 ot 041"  # drawn as `from 140 to 60 N`, unless it is marked
+    wanted = kept(changing, "grip_force_n: {max: 75,", turned)
+    first = {"why": turned}
+    assert changing.post(f"/v1/policies/{wanted}/activate", first, key="engineer").json()["awaiting"] is not None
+    other = seat(people, changing, "engineer_2")
+    marked = "from \ufffdN 06 ot 041"
+    expect(other.region("Versions").get_by_role("link").filter(has_text=wanted[7:19])).to_contain_text(marked)
+    other.page.evaluate(f"location.hash = '#/policy/Versions/{wanted}'")
+    view = other.page.get_by_role("region", name=re.compile("^Version "))
+    expect(view).to_contain_text(f"{marked} brought by engineer")
+    expect(view).to_contain_text(f"engineer wants it in force: {marked}")
+    expect(view.get_by_role("list", name="Parts that are others")).to_be_visible()
+    expect(view).not_to_contain_text("\u202e")
+
+
 def kept(server: ServerProcess, bound: str, why: str) -> str:
     """Bring what is in force with another bound; returns its digest."""
     active = server.get("/v1/policies/active")["version"]
