@@ -255,6 +255,32 @@ def test_of_two_who_answer_one_wins_or_the_first_may_still_deny_and_is_told_what
     assert floor.settled(proposed["id"])["status"] in {"running", "denied", "completed"}
 
 
+def test_whoever_approved_two_questions_is_told_of_each_that_it_was_for_nothing_until_that_is_put_away(
+    server: ServerProcess, people: People, floor: Floor
+) -> None:
+    person = people.sit(server)
+    questions = [floor.ask("driver_1")["escalation"] for _ in range(2)]
+    for question in questions:
+        expect(person.button(re.compile("^Approve"))).to_be_enabled()
+        with person.page.expect_response("**/resolve"):
+            person.press("a")
+        until(lambda path=f"/v1/escalations/{question['id']}": server.get(path)["approvals"], what="its approval")
+    other = floor.ask()
+    person.region("Waiting for you").locator("button.row").filter(has_text="Grasp mug_1").click()
+    expect(card(person, "Grasp mug_1")).to_be_visible()
+    for question in questions:
+        denied_by(server, question, "operator_2")
+    told = person.page.get_by_role("status").filter(has_text="is not open any more: operator_2 denied.")
+    expect(told).to_have_count(2)
+    floor.answer(other, "deny")
+    expect(person.page.get_by_role("article")).to_have_count(0)
+    expect(told).to_have_count(2)
+    put = told.first.get_by_role("button", name="Put this away")
+    expect(put).to_be_enabled()
+    put.click()
+    expect(told).to_have_count(1)
+
+
 def denied_by(server: ServerProcess, question: dict[str, Any], key: str) -> None:
     path = f"/v1/escalations/{question['id']}"
     answer = {"decision": "deny", "digest": server.get(path)["digest"]}
