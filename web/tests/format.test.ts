@@ -34,6 +34,7 @@ describe('times', () => {
 
   it('are said in minutes or seconds', () => {
     expect([left(660_000), left(40_000)]).toEqual(['11 min left', '40 s left']);
+    expect([left(899_000), left(120_000), left(90_000)]).toEqual(['14 min left', '2 min left', '90 s left']); // never more than there is
   });
 });
 

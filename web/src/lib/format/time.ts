@@ -28,8 +28,8 @@ export function elapsed(ms: number): string {
   return countdown(Math.floor(Math.max(0, ms) / 1000) * 1000);
 }
 
-/** `11 min left`, `40 s left`. */
+/** `11 min left`, `40 s left`; never more than there is. */
 export function left(ms: number): string {
   const seconds = Math.max(0, Math.ceil(ms / 1000));
-  return seconds >= 90 ? `${Math.round(seconds / 60)} min left` : `${seconds} s left`;
+  return seconds >= 120 ? `${Math.floor(seconds / 60)} min left` : `${seconds} s left`;
 }
