@@ -18,6 +18,16 @@ it('tells the server’s time, and goes on telling it when this computer’s clo
   expect([clock.read(), clock.nowMs]).toEqual([server + 250, server + 250]);
 });
 
+it('steps with what the server says where the page’s own timers are late, as those of a hidden one are', async () => {
+  const { clock } = await import('../src/lib/state/clock.svelte');
+  const server = Date.parse('2026-11-22T10:00:00Z');
+  clock.sync(server / 1000);
+  vi.clearAllTimers();
+  vi.advanceTimersByTime(50_000);
+  clock.sync((server + 50_000) / 1000);
+  expect(clock.nowMs).toBe(server + 50_000);
+});
+
 it('is this computer’s until the server has said its own', async () => {
   const { clock } = await import('../src/lib/state/clock.svelte');
   expect(Math.abs(clock.read() - Date.now())).toBeLessThan(1_000);

@@ -33,6 +33,7 @@ class Clock {
     this.offsetMs = !this.synced || offset > this.offsetMs || this.offsetMs - offset > 500 ? offset : this.offsetMs;
     this.synced = true;
     this.syncedMs = performance.now();
+    if (Math.abs(this.read() - this.nowMs) > OFTEN_MS) this.step(); // a hidden page's timers may be late by a minute, and its title counts down
   }
 
   read(): number {
