@@ -48,8 +48,9 @@ An agent proposes, Reins decides, a cell acts under watch, and a record stands.
 
 Bearer tokens carry a role; every operation names the roles that may use it. A refusal of a *proposal* is an ordinary
 answer with reasons; a refusal of a *request* is a problem (RFC 9457) with a stable `code`. Bodies are strict JSON of at
-most 256 kB: unknown fields, keys given twice, NaN and numbers beyond double precision are refused. Lists are `{items,
-next}`; give `next` back as `cursor` (or `after`, in the log). HEAD answers as GET does, without the body.
+most 256 kB and 10,000 values: unknown fields, keys given twice, NaN and numbers beyond double precision are refused.
+Lists are `{items, next}`; give `next` back as `cursor` (or `after`, in the log). HEAD answers as GET does, without the
+body.
 """
 
 
