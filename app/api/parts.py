@@ -6,7 +6,7 @@ import asyncio
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final, cast
 
-from app.api.seats import Doorstep, Ration, Seats
+from app.api.seats import Doorstep, Ration, Seats, Turns
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -66,6 +66,7 @@ class Parts:
     )
     ungreeted: Doorstep = field(default_factory=lambda: Doorstep(code="too_many_streams", limit=MAX_UNGREETED))
     words: Ration = field(default_factory=lambda: Ration(most=EACH_WORDS, within_s=WORDS_WITHIN_S))
+    long_bodies: Turns = field(default_factory=Turns)
     checks: Mapping[str, Callable[[], str | None]] = field(default_factory=dict[str, "Callable[[], str | None]"])
 
 

@@ -18,7 +18,9 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationEr
 
 from app.api.faults import field_errors
 from app.api.listing import MAX_SEQ
+from app.api.parts import parts_of
 from app.api.problems import Problem
+from app.api.seats import LONG_BYTES
 from app.governance.semver import PIN
 from app.runtime.grant import LEAST_MINUTES
 
@@ -238,6 +240,13 @@ async def read_body(request: Request, model: type[M], *, at_most: int = MAX_BODY
     """
     check_media(request)
     raw = await read_bytes(request, at_most)
+    if len(raw) <= LONG_BYTES:
+        return _made(raw, model, at_most)
+    async with parts_of(request).long_bodies.take():
+        return _made(raw, model, at_most)
+
+
+def _made(raw: bytes, model: type[M], at_most: int) -> M:
     return to_model(parse(raw), model, long_texts=at_most > MAX_BODY_BYTES or _short_texts(raw))
 
 

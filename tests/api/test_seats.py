@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Iterator
 
 import pytest
 
 from app.api.parts import Parts
 from app.api.problems import Problem
-from app.api.seats import Seats
+from app.api.seats import LONG_BYTES, Seats, Turns
 from tests.api.conftest import House, eventually
 
 pytestmark = pytest.mark.anyio
@@ -73,3 +74,35 @@ async def test_one_long_poll_too_many_is_refused_and_one_that_ended_gives_its_se
             assert (await agent.get(path)).status_code == 200
         assert (await agent.get(f"{path}?wait=1")).status_code == 200
         assert narrow.waits.taken == 0
+
+
+async def test_turns_come_one_by_one_and_rest_for_as_long_as_each_took() -> None:
+    turns, now = Turns(), asyncio.get_running_loop().time
+    spans: list[tuple[float, float]] = []
+
+    async def busy() -> None:
+        async with turns.take():
+            began_s = now()
+            until_s = began_s + 0.02
+            while now() < until_s:
+                pass
+            spans.append((began_s, now()))
+
+    given_up = asyncio.ensure_future(busy())
+    rest = asyncio.gather(busy(), busy())
+    given_up.cancel()
+    await rest
+    (began_s, ended_s), (next_s, _) = spans
+    assert next_s - ended_s >= ended_s - began_s
+
+
+async def test_a_long_body_waits_for_its_turn_and_a_short_one_for_nobody(house: House) -> None:
+    metadata = {f"k{i}": "x" * 4000 for i in range(1 + LONG_BYTES // 4000)}
+    proposal = {"capability": "grasp_object", "params": {"object_id": "mug_1", "force_n": 40, "speed_mps": 0.2}}
+    async with house.client("agent") as agent:
+        async with house.app.state.parts.long_bodies.take():
+            long = asyncio.ensure_future(agent.post("/v1/check", json={**proposal, "metadata": metadata}))
+            for _ in range(5):
+                assert (await agent.post("/v1/check", json=proposal)).status_code == 200
+            assert not long.done()
+        assert (await long).status_code == 200
