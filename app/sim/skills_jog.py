@@ -5,30 +5,25 @@ acceleration; the way down takes `STOP_S`, whatever the speed. The tool keeps it
 ahead is solved for by differential inverse kinematics, and where the arm does not get there, or only by a swing of its
 joints, it stays and says `unreachable` until the hand wants another way. A base that does not get on although it is
 driven has met something no sensor told of: it stops pushing, says `blocked`, and is driven again once the hand has let
-go of it. Onto a surface that is near the tool comes down as slowly as any skill does: stopped when it touches at full
-speed, it has pressed twice as hard as it may by then.
+go of it. So it does where it has come as near as it may to what is known to stand there (`surroundings`). To what is
+near the tool comes as slowly as in any skill, whether the arm takes it there or the base: stopped when it touches at
+full speed, it has pressed several times as hard as it may by then.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from math import dist, hypot
+from math import cos, dist, hypot, sin
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from app.governance.model import CONTROL_PERIOD_S, Command, SkillReport, Wish
-from app.sim.body import (
-    CONTACT_NEAR_M,
-    CONTACT_SPEED_MPS,
-    OPEN_N,
-    OPEN_WIDTH_M,
-    PAD_TOUCH_TICKS,
-    SOFT_CLOSE_N,
-    Body,
-)
+from app.sim.body import OPEN_N, OPEN_WIDTH_M, PAD_TOUCH_TICKS, SOFT_CLOSE_N, Body
+from app.sim.localisation import to_world
 from app.sim.motion import ARM_ACCELERATION, BASE_ACCELERATION, MARGIN
 from app.sim.skills_arm import number, remember_grip
+from app.sim.surroundings import PUSHING_MPS, TOUCHING_MPS, blocks, hand_share, held_off
 
 if TYPE_CHECKING:
     from app.governance.model import Json, Observation, Point, Vec3
@@ -37,7 +32,6 @@ if TYPE_CHECKING:
 CAPABILITY = "takeover"
 STOP_S = 0.05
 _JOINT_SPEED_RADPS = 1.2
-_CONTACT_MPS = MARGIN * CONTACT_SPEED_MPS
 _LARGEST_TURN_RADPS, _BASE_RADIUS_M = 0.8, 0.45
 _WITHIN_M = 1e-5  # a tenth of what the slowest hand moves the tool in a tick
 _SAME_WAY = 0.9  # cosine
@@ -47,6 +41,7 @@ _EMPTY_TICKS = 30  # pads that felt something until just now may hold it still
 _RESTING: Vec3 = (0.0, 0.0, 0.0)
 _PUSHED_TICKS = 30  # a base that drives off is behind its command for a tenth of that
 _PUSHED_SHARE = 0.3  # of the commanded speed
+_KEPT_SHARE = 0.1  # of a wanted velocity: what is left of less leads nowhere
 _PUSHED_MPS, _PUSHED_RADPS = 0.03, 0.1  # below that the noise of odometry would decide
 
 
@@ -67,6 +62,7 @@ class Jog:
         self._base, self._tool = _Followed(BASE_ACCELERATION), _Followed(ARM_ACCELERATION)
         self._sent: Vec3 = _RESTING
         self._pushing = 0
+        self._near = False  # as the base may come to what is known to stand where it is wanted
         self._met: Vec3 | None = None  # which way something stood that the base has met
         self._beyond: Vec3 | None = None  # which way the tool was wanted where the arm did not get
         self._tick = -1
@@ -94,13 +90,16 @@ class Jog:
         self._tick = observation.tick
         wish = self._wish
         blocked = self._blocked()
-        vx, vy, wz = self._base.follow(_RESTING if blocked else self._driven(wish.base))
         far = self._out_of_reach()
-        tool = self._tool.follow(_RESTING if far else self._lowered(_held(wish.tool, self._tool_mps)))
+        driven, led = self._slowed(
+            _RESTING if blocked else self._driven(wish.base), _RESTING if far else _held(wish.tool, self._tool_mps)
+        )
+        vx, vy, wz = self._base.follow(driven)
+        tool = self._tool.follow(led)
         self._grip(wish.grip)
         moved = self._moved(tool, rate)
-        if blocked or far:
-            self.refused = "blocked" if blocked else "unreachable"
+        if blocked or self._near or far:
+            self.refused = "unreachable" if far else "blocked"
         self._sent = (vx * rate, vy * rate, wz * rate)
         return moved._replace(base_velocity=self._sent)
 
@@ -129,18 +128,27 @@ class Jog:
         share = min(1.0, self._base_mps / (hypot(vx, vy) + abs(wz) * arm_m or 1.0), limit / (abs(wz) or limit))
         return vx * share, vy * share, wz * share
 
-    def _lowered(self, wanted: Vec3) -> Vec3:
-        """Have the tool, and what it holds, come down slowly onto a surface that is near."""
-        x, y, z = wanted
-        if z >= -_CONTACT_MPS:
-            return wanted
+    def _slowed(self, base: Vec3, tool: Vec3) -> tuple[Vec3, Vec3]:
+        """Have base and tool near what is known to stand about no faster than they may touch it."""
+        self._near = False
+        if base == _RESTING and tool == _RESTING:
+            return base, tool
         body = self._body
-        below, hand = body.support_below(), body.senses.hand
-        hangs_m = hand.above_support_m if hand is not None and body.holding else 0.0
-        if below is None or body.pose.z_m - hangs_m - below > CONTACT_NEAR_M:
-            return wanted
-        share = _CONTACT_MPS / -z
-        return x * share, y * share, z * share
+        senses, pose, here = body.senses, body.senses.believed_pose(), body.pose
+        wanted_mps, base = hypot(*base[:2]), held_off(senses.site, senses.perception, pose, base)
+        vx, vy, wz = base
+        self._near = hypot(vx, vy) < _KEPT_SHARE * wanted_mps
+        x, y = vx - wz * here.y_m + tool[0], vy + wz * here.x_m + tool[1]
+        c, s = cos(pose[2]), sin(pose[2])
+        hand = senses.hand if body.holding else None
+        share = hand_share(
+            (*to_world(pose, here.x_m, here.y_m), here.z_m),
+            (c * x - s * y, s * x + c * y, tool[2]),
+            0.0 if hand is None else hand.above_support_m,
+            blocks(senses.site, senses.perception, None if hand is None else hand.name),
+            TOUCHING_MPS if base == _RESTING else PUSHING_MPS,
+        )
+        return (vx * share, vy * share, wz * share), (tool[0] * share, tool[1] * share, tool[2] * share)
 
     def _moved(self, tool: Vec3, rate: float) -> Command:
         """Return the arm's part: a step of the tool along its velocity."""
