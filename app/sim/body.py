@@ -262,8 +262,12 @@ class Body:
             yield self.hold()
         self.senses.zero_slip()
 
-    def close(self, force_n: float) -> Moves:
+    def close(self, force_n: float, *, taken: Callable[[], None] = lambda: None) -> Moves:
         """Close softly until both pads feel something for three ticks, then raise the grip to `force_n` within 0.2 s.
+
+        Args:
+            force_n: how firmly.
+            taken: told as soon as something is between the pads: whatever interrupts the rest, the hand holds it.
 
         Raises:
             SkillFailed: `grasp_failed`, the pads met nothing.
@@ -276,6 +280,7 @@ class Body:
             touching = touching + 1 if self.seen.grip_force_n > PAD_TOUCH_N and self.holding else 0
             if passed > CLOSE_TIMEOUT_S or (self.seen.grip_width_m < 0.004 and passed > 0.3):
                 raise SkillFailed("grasp_failed", "the fingers closed on nothing")
+        taken()
         risen = 0.0
         while risen < 1.0:
             risen = min(1.0, risen + self.rate * CONTROL_PERIOD_S / RAMP_S)

@@ -116,8 +116,7 @@ def _grasp(body: Body, thing: SiteObject, guess: Glimpse, force_n: float, limit_
     if body.touched():
         raise SkillFailed("grasp_failed", "the fingers met something on the way down")
     body.enter("close", 0.6)
-    yield from body.close(force_n)
-    remember_grip(body, thing, found)
+    yield from body.close(force_n, taken=lambda: remember_grip(body, thing, found))
     body.enter("lift", 0.75)
     here = body.pose
     lost = _loss_of(body)

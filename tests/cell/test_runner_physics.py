@@ -42,6 +42,24 @@ def test_a_nominal_grasp_is_quiet(tmp_path: Path) -> None:
     assert shop.cell.truth().held == "mug_1"
 
 
+@pytest.mark.parametrize("word", ["stop", "cancel"])
+def test_what_is_between_the_pads_is_known_whatever_ends_the_grasp(tmp_path: Path, word: str) -> None:
+    shop = Workshop(tmp_path)
+    shop.launch("grasp_object", **GRASP)
+    for _ in range(10):
+        while not shop.cell.observe().pads_loaded:
+            shop.runner.tick()
+        shop.runner.tick()
+    assert shop.runner.session is not None
+    assert shop.runner.session.run.skill.report().phase == "close"
+    assert shop.runner.human("inv-1", word, "operator") is None
+    shop.finish()
+    assert shop.cell.truth().held == "mug_1"
+    assert shop.cell.facts().holding == "mug_1"
+    shop.launch("place_object", 2, covered=False, surface="bench_a", speed_mps=0.25)
+    assert shop.finish()["outcome"] == "succeeded"
+
+
 def test_a_person_on_the_floor_pauses_the_drive_and_their_leaving_resumes_it(tmp_path: Path) -> None:
     walk = Walk(points=((1.0, 1.0), (1.0, 2.9), (1.0, 1.0)), start=driving(0.5), stay_s=((1, 1.5),))
     shop = Workshop(tmp_path, people=(walk,))
