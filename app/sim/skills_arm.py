@@ -22,7 +22,7 @@ HOVER_M, LIFT_M, GRIP_DEPTH_M = 0.10, 0.12, 0.06
 REACH_MIN_M, REACH_MAX_M = 0.42, 0.95
 LOCALISE_S, MISMATCH_M, PLACED_WITHIN_M = 0.3, 0.15, 0.06
 SLIPPED_MAX_M = 0.05
-PLACE_GAP_M, PLACE_TOUCH_N, SPOT_FREE_M, SURFACE_MARGIN_M = 0.002, 12.0, 0.15, 0.07
+PLACE_GAP_M, PLACE_TOUCH_N, PLACE_HIGH_M, SPOT_FREE_M, SURFACE_MARGIN_M = 0.002, 12.0, 0.02, 0.15, 0.07
 BESIDE_M = 0.02  # at least, between what stands and what is put beside it, or carried over it
 SEEN_FROM_M, SEEN_FROM_RAD = 0.3, 0.3  # how far off its stand an area is still seen; `area_in_view` asks for less
 TRAVEL_SPEED_MPS = 0.20  # of the arm, where a skill's own speed is the base's
@@ -238,9 +238,11 @@ def _place(body: Body, support_z_m: float, spot: Point, hand: Hand, limit_mps: f
     speed = body.speed(limit_mps)
     if (clear := _clear_of_others(body, support_z_m, spot, hand)) > LIFT_M:
         yield from body.line(body.pose._replace(z_m=support_z_m + hand.above_support_m + clear), speed)
-    yield from body.approach(
-        ToolPose(*body.relative(*spot), support_z_m + hand.above_support_m + LIFT_M, body.pose.yaw_rad), speed
-    )
+    over = ToolPose(*body.relative(*spot), support_z_m + hand.above_support_m + LIFT_M, body.pose.yaw_rad)
+    for command in body.approach(over, speed):
+        if (there := _standing_at(body, hand.name, spot)) is not None:  # somebody has put it there since
+            raise SkillFailed("placement_failed", f"`{there}` stands there")
+        yield command
     yield from put_down(body, support_z_m, hand, limit_mps)
     body.enter("verify", 0.9)
     found = yield from localise(body, hand.name)
@@ -295,6 +297,8 @@ def _lower(body: Body, support_z_m: float, hand: Hand, limit_mps: float) -> Move
         raise SkillFailed("object_lost", f"`{hand.name}` slipped out of the grip")
     slow = contact_speed(body, limit_mps)
     yield from body.line(here._replace(z_m=floor), slow, until=lambda: body.touched(PLACE_TOUCH_N))
+    if body.pose.z_m > floor + PLACE_HIGH_M:  # let go of up here it would fall, or stand on what is no support
+        raise SkillFailed("placement_failed", f"something stands where `{hand.name}` was to be put down")
 
 
 def _set_free(body: Body) -> Moves:

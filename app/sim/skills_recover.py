@@ -13,7 +13,16 @@ from app.cell.substrate import SubstrateError
 from app.sim.body import CONTACT_SPEED_MPS, JOINT_SPEED_RADPS, Body, Moves, SkillFailed
 from app.sim.hand import MARK_MAX, WIDER_M
 from app.sim.localisation import wrapped
-from app.sim.skills_arm import HOVER_M, LIFT_M, grasp_object, number, put_down, resting_place, within_reach
+from app.sim.skills_arm import (
+    HOVER_M,
+    LIFT_M,
+    PLACE_HIGH_M,
+    grasp_object,
+    number,
+    put_down,
+    resting_place,
+    within_reach,
+)
 from app.sim.skills_drive import RECOVERY_BASE_SPEED_MPS, RECOVERY_TCP_SPEED_MPS
 
 if TYPE_CHECKING:
@@ -50,8 +59,10 @@ def _release(body: Body, below: float | None, limit_mps: float) -> Moves:
         try:
             yield from put_down(body, below, hand, limit_mps)
             put = True
-        except SkillFailed:  # it slid out on the way down: what was to be let go of is gone already
-            body.senses.hand = None
+        except SkillFailed as failed:
+            if failed.failure != "object_lost":
+                raise
+            body.senses.hand = None  # it slid out on the way down: what was to be let go of is gone already
     if not put:
         body.enter("release", 0.2)
         yield from body.open()
@@ -200,6 +211,8 @@ def _undo(body: Body, trail: list[Mark], limit_mps: float) -> Moves:
     taken = _taken_at(trail) if body.holding else None
     if taken is not None:
         yield from _back(body, trail[taken:], limit_mps, gentle=True)
+        if body.pose.z_m > body.senses.solver.forward(trail[taken].joints).z_m + PLACE_HIGH_M:
+            raise SkillFailed("placement_failed", "something stands where what is held was taken from")
         body.enter("put_back", 0.5)
         yield from body.wait(0.1)
         yield from body.open()

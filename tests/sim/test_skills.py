@@ -6,7 +6,7 @@ from math import cos, dist, sin
 
 import pytest
 
-from app.governance.model import Site, Vec3
+from app.governance.model import Observation, Site, SkillReport, Vec3
 from app.sim.hand import MARK_MAX
 from app.sim.soak import Report, Score, count, soak
 from app.sim.trial import run_skill
@@ -180,3 +180,56 @@ def test_what_is_put_beside_others_is_carried_over_the_tallest_of_them(site: Sit
     now = cell.truth()
     assert now.upright["glass_1"]
     assert dist(now.objects["glass_1"], stood) < 0.001
+
+
+def carrying(site: Site) -> Workcell:
+    """Return a workcell that holds the mug over a bench with the driver out of its way."""
+    cell = make_workcell(site, cell_id="place", seed=FIRST)
+    cell.plant.place_object("driver_1", 2.15, 5.5, 0.776)
+    for _ in range(100):
+        cell.step(cell.hold())
+    assert run_skill(cell, "grasp_object", {"object_id": "mug_1", "force_n": 40.0, "speed_mps": 0.25}).done
+    return cell
+
+
+SPOT = (1.6, 5.32)
+
+
+def test_what_is_put_onto_a_thing_that_nobody_saw_there_is_kept_hold_of(site: Site) -> None:
+    cell = carrying(site)
+
+    def slip_in(_: Observation, report: SkillReport) -> None:
+        if report.phase == "descend" and cell.plant.true_object("driver_1")[0][0] > 2.0:
+            cell.plant.place_object("driver_1", *SPOT, 0.776)
+            cell.perception.fault = ("stuck", 0.0)
+
+    ran = run_skill(
+        cell, "place_object", {"surface": "bench_a", "x_m": SPOT[0], "y_m": SPOT[1], "speed_mps": 0.25}, each=slip_in
+    )
+    assert ran.failure == "placement_failed", ran
+    assert ran.contact_force_n < 60.0
+    assert (cell.truth().held, cell.facts().holding) == ("mug_1", "mug_1")
+
+
+def test_nothing_is_carried_on_to_where_somebody_puts_a_thing_meanwhile(site: Site) -> None:
+    cell = carrying(site)
+
+    def put_there(_: Observation, report: SkillReport) -> None:
+        if report.phase == "approach" and cell.plant.true_object("glass_1")[0][0] > 1.7:
+            cell.plant.place_object("glass_1", *SPOT, 0.811)
+
+    ran = run_skill(
+        cell, "place_object", {"surface": "bench_a", "x_m": SPOT[0], "y_m": SPOT[1], "speed_mps": 0.25}, each=put_there
+    )
+    assert ran.failure == "placement_failed", ran
+    assert cell.truth().held == "mug_1"
+    assert cell.truth().upright["glass_1"]
+    assert dist(cell.truth().objects["glass_1"][:2], SPOT) < 0.01
+
+
+def test_what_is_given_back_onto_a_thing_that_stands_there_by_now_is_kept_hold_of(site: Site) -> None:
+    cell, thing = carrying(site), site.objects["mug_1"]
+    cell.plant.place_object("driver_1", thing.x_m, thing.y_m, 0.776)
+    ran = run_skill(cell, "retrace", {"speed_mps": 0.15})
+    assert ran.failure == "placement_failed", ran
+    assert (cell.truth().held, cell.facts().holding) == ("mug_1", "mug_1")
