@@ -228,6 +228,8 @@ class Session(Governing):
         run, holding = self.run, decision.holding
         stays = holding is not None and holding.intervention is Intervention.PAUSE  # it has to end by itself
         ends = decision.ends_attempt or decision.intervention is Intervention.ESCALATE
+        if self._handing is not None and ends and holding is None and alert.rule not in run.speaking:
+            return  # it is over: what is bound anew begins without it
         if self._handing is not None:
             self._keep_the_controls(steering, alert.rule, "the watcher stops it where it stands")
         if steering.stop(alert.rule, leavable=ends and not stays) or "watch" not in run.paused_by:

@@ -525,6 +525,28 @@ def test_what_cannot_be_bound_anew_stays_in_the_human_hand(tmp_path: Path) -> No
     assert console.press(Wish(base=(0.3, 0.0, 0.0)), 30) is None
 
 
+def test_a_contact_that_is_over_keeps_nobody_from_handing_back(tmp_path: Path) -> None:
+    shop = Workshop(tmp_path)
+    shop.launch("grasp_object", **GRASP)
+    for _ in range(100):
+        shop.runner.tick()
+    console = take_over(shop)
+    console.hold(Wish(tool=(0.25, 0.0, 0.0)), 100)
+    console.press(Wish(tool=(0.0, 0.0, -0.25)), 500)
+    stopped_by = refused(shop)
+    assert stopped_by in {"grip-force", "contact-force", "external-torque"}
+    console.release()
+    console.tick(200)
+    told = len(shop.of("intervention"))
+    anew = permit(shop, "grasp_object", 3, **shop._filled("grasp_object", GRASP))
+    assert shop.runner.launch(mint(anew, KEY)) is None
+    for _ in range(100):
+        shop.runner.tick()
+    assert "refused" not in shop.last("launch"), shop.story()
+    assert len(shop.of("intervention")) == told
+    assert shop.finish()["outcome"] == "recovered"
+
+
 def test_a_rollback_goes_back_the_way_the_hand_went_too(tmp_path: Path) -> None:
     shop = Workshop(tmp_path)
     shop.launch("navigate_to", **DRIVE)
