@@ -23,6 +23,7 @@ REACH_MIN_M, REACH_MAX_M = 0.42, 0.95
 LOCALISE_S, MISMATCH_M, PLACED_WITHIN_M = 0.3, 0.15, 0.06
 SLIPPED_MAX_M = 0.05
 PLACE_GAP_M, PLACE_TOUCH_N, PLACE_HIGH_M, SPOT_FREE_M, SURFACE_MARGIN_M = 0.002, 12.0, 0.02, 0.15, 0.07
+OPEN_HAND_M = 0.09  # half of its width, and what cameras are off by
 BESIDE_M = 0.02  # at least, between what stands and what is put beside it, or carried over it
 SEEN_FROM_M, SEEN_FROM_RAD = 0.3, 0.3  # how far off its stand an area is still seen; `area_in_view` asks for less
 TRAVEL_SPEED_MPS = 0.20  # of the arm, where a skill's own speed is the base's
@@ -103,15 +104,16 @@ def _grasp(body: Body, thing: SiteObject, guess: Glimpse, force_n: float, limit_
     body.enter("approach", 0.0)
     yield from _emptied(body, limit_mps)
     grip = grip_for(thing, guess)
-    yield from body.approach(grip.pose._replace(z_m=grip.top_m + HOVER_M), speed)
+    yield from body.approach(grip.pose._replace(z_m=_hover(body, thing, grip)), speed)
     body.enter("localise", 0.3)
     found = yield from localise(body, thing.name)
     if hypot(found.x_m - guess.x_m, found.y_m - guess.y_m) > MISMATCH_M:
         raise SkillFailed("perception_mismatch", f"`{thing.name}` is not where it was remembered")
     grip = grip_for(thing, found)
-    yield from body.line(grip.pose._replace(z_m=grip.top_m + HOVER_M), speed)
+    yield from body.line(grip.pose._replace(z_m=_hover(body, thing, grip)), speed)
     body.enter("descend", 0.45)
-    yield from body.line(grip.pose._replace(z_m=grip.pose.z_m + CONTACT_NEAR_M), speed)
+    near = max(grip.pose.z_m, _top_beside(body, thing, grip)) + CONTACT_NEAR_M
+    yield from body.line(grip.pose._replace(z_m=near), speed)
     yield from body.line(grip.pose, slow, until=body.touched)
     if body.touched():
         raise SkillFailed("grasp_failed", "the fingers met something on the way down")
@@ -189,6 +191,24 @@ def grip_for(thing: SiteObject, at: Glimpse) -> Grip:
     yaw = (yaw + pi / 2) % pi - pi / 2  # a parallel gripper is the same turned by half a circle
     top = at.z_m + half_height
     return Grip(ToolPose(at.x_m, at.y_m, max(at.z_m, top - GRIP_DEPTH_M), yaw), top)
+
+
+def _hover(body: Body, thing: SiteObject, grip: Grip) -> float:
+    """Return how high the open hand is over a thing and over whatever stands beside it."""
+    return max(grip.top_m + HOVER_M, _top_beside(body, thing, grip) + CONTACT_NEAR_M)
+
+
+def _top_beside(body: Body, thing: SiteObject, grip: Grip) -> float:
+    """Return how high what stands so near that the open hand may come down on it reaches; 0 where nothing does."""
+    senses = body.senses
+    x, y = to_world(senses.believed_pose(), grip.pose.x_m, grip.pose.y_m)
+    tops = [
+        seen.z_m + _half_height(other, seen.upright)
+        for name, seen in senses.perception.memory.items()
+        if name != thing.name
+        and hypot(seen.x_m - x, seen.y_m - y) < OPEN_HAND_M + max((other := senses.site.objects[name]).size_m)
+    ]
+    return max(tops, default=0.0)
 
 
 def _half_height(thing: SiteObject, upright: bool) -> float:

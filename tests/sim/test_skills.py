@@ -233,3 +233,17 @@ def test_what_is_given_back_onto_a_thing_that_stands_there_by_now_is_kept_hold_o
     ran = run_skill(cell, "retrace", {"speed_mps": 0.15})
     assert ran.failure == "placement_failed", ran
     assert (cell.truth().held, cell.facts().holding) == ("mug_1", "mug_1")
+
+
+@pytest.mark.parametrize(("beside", "top_m"), [("glass_1", 0.06), ("solvent_1", 0.09)])
+def test_a_hand_comes_down_slowly_onto_what_stands_beside_the_thing_it_is_to_take(
+    site: Site, beside: str, top_m: float
+) -> None:
+    cell, thing = make_workcell(site, cell_id="beside", seed=FIRST), site.objects["mug_1"]
+    cell.plant.place_object(beside, thing.x_m + 0.087, thing.y_m, 0.751 + top_m)
+    for _ in range(100):
+        cell.step(cell.hold())
+    ran = run_skill(cell, "grasp_object", {"object_id": "mug_1", "force_n": 40.0, "speed_mps": 0.25})
+    assert ran.failure == "grasp_failed", ran
+    assert 10.0 < ran.contact_force_n < 60.0
+    assert cell.truth().upright[beside]
