@@ -56,6 +56,7 @@ _LINE_STEP_M, _TURN_STEP_RAD, _TURN_M_PER_RAD = 0.01, 0.05, 0.12
 JOINT_SPEED_RADPS = 1.6
 _SOLVES_PER_TICK = 3
 _DRIVE_GAIN, _TURN_GAIN = 1.5, 1.5
+_ARRIVING_S, _LATE_S, _ARRIVED_MPS = 0.1, 1.5, 0.008  # twice the noise of that speed
 _DOCKED_M, _DOCKED_RAD, _DOCKED_TICKS, _DOCKING_S = 0.006, 0.01, 20, 2.5
 _BLOCKED_ERROR_M, _LOOKAHEAD_M = 0.20, 0.9
 _CRATE_M = robot.BASE_RADIUS_M + 0.30  # from the middle of one to the middle of the base
@@ -156,6 +157,13 @@ class Body:
         """Stand still for some time."""
         passed = 0.0
         while passed < seconds:
+            passed += self.rate * CONTROL_PERIOD_S
+            yield self.hold()
+
+    def arrived(self) -> Moves:
+        """Wait until the tool stands: servos that run behind are on their way still when the last command is given."""
+        passed = 0.0
+        while passed < _ARRIVING_S or (passed < _LATE_S and self.seen.tcp_speed_mps > _ARRIVED_MPS):
             passed += self.rate * CONTROL_PERIOD_S
             yield self.hold()
 

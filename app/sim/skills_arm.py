@@ -322,7 +322,7 @@ def _lower(body: Body, support_z_m: float, hand: Hand, limit_mps: float) -> Move
 
 
 def _set_free(body: Body) -> Moves:
-    yield from body.wait(0.1)
+    yield from body.arrived()
     yield from body.open()
     body.senses.hand = None
     body.senses.tare()

@@ -214,7 +214,7 @@ def _undo(body: Body, trail: list[Mark], limit_mps: float) -> Moves:
         if body.pose.z_m > body.senses.solver.forward(trail[taken].joints).z_m + PLACE_HIGH_M:
             raise SkillFailed("placement_failed", "something stands where what is held was taken from")
         body.enter("put_back", 0.5)
-        yield from body.wait(0.1)
+        yield from body.arrived()
         yield from body.open()
         body.senses.hand = None
         body.senses.tare()

@@ -6,7 +6,7 @@ from math import cos, dist, sin
 
 import pytest
 
-from app.governance.model import Observation, Site, SkillReport, Vec3
+from app.governance.model import Json, Observation, Site, SkillReport, Vec3
 from app.sim.hand import MARK_MAX
 from app.sim.soak import Report, Score, count, soak
 from app.sim.trial import run_skill
@@ -247,3 +247,18 @@ def test_a_hand_comes_down_slowly_onto_what_stands_beside_the_thing_it_is_to_tak
     assert ran.failure == "grasp_failed", ran
     assert 10.0 < ran.contact_force_n < 60.0
     assert cell.truth().upright[beside]
+
+
+def test_servos_that_run_behind_let_go_of_nothing_before_it_stands(site: Site) -> None:
+    cell = carrying(site)
+    cell.plant.drives.speed_gain = 0.5
+    let_go_at = list[float]()
+
+    def watch(_: Observation, report: SkillReport) -> None:
+        if report.phase == "release" and cell.plant.drives.grip_force_n < 0.0 and not let_go_at:
+            let_go_at.append(cell.plant.true_object("mug_1")[0][2])
+
+    spot: dict[str, Json] = {"surface": "bench_a", "x_m": SPOT[0], "y_m": SPOT[1], "speed_mps": 0.25}
+    run_skill(cell, "place_object", spot, each=watch)
+    assert let_go_at[0] < 0.8 + 0.01
+    assert cell.truth().upright["mug_1"]
