@@ -351,6 +351,7 @@ class Plant:
         q, v = self._object_q[name], self._object_v[name]
         self._qpos[q : q + 7] = (x_m, y_m, z_m, cos(yaw_rad / 2), 0.0, 0.0, sin(yaw_rad / 2))
         self._qvel[v : v + 6] = 0.0
+        mujoco.mj_kinematics(self.model, self.data)  # or what dozes would be decided by where it was
 
     def place_crate(self, name: str, x_m: float, y_m: float, z_m: float = CRATE_HALF_M[2]) -> None:
         """Put a crate on the floor, or hang it up with its middle at `z_m`."""

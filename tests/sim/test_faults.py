@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import pytest
 
-from app.governance.model import Json, Site, SkillState
+from app.governance.model import Json, Observation, Site, SkillReport, SkillState
 from app.sim.faults import Fault
 from app.sim.occasions import Trigger
 from app.sim.people import Walk
@@ -272,6 +272,20 @@ def test_a_recovery_is_another_skill_and_has_not_the_habits_of_the_one_it_mends(
     assert abs(cell.believed_pose()[0] - true[0]) < 0.05
     bound(cell, "navigate_to", DRIVE)
     assert abs(cell.believed_pose()[0] - true[0]) > 0.2
+
+
+@pytest.mark.parametrize("later", range(5))
+def test_what_is_taken_out_of_the_hand_stays_away_whenever_it_is_taken(site: Site, later: int) -> None:
+    gone = fault("missing", Trigger(capability="grasp_object", phase="lift", after_s=later / 100), object="mug_1")
+    cell, highest_m = cell_with(site, gone), 0.0
+
+    def look(_: Observation, __: SkillReport) -> None:
+        nonlocal highest_m
+        highest_m = max(highest_m, cell.truth().objects["mug_1"][2])
+
+    run_skill(cell, "grasp_object", GRASP, each=look)
+    assert highest_m < 1.0
+    assert cell.truth().objects["mug_1"][2] < -1.0
 
 
 def test_a_misplaced_object_stands_elsewhere(site: Site):
