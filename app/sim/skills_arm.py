@@ -317,12 +317,12 @@ def _lower(body: Body, support_z_m: float, hand: Hand, limit_mps: float) -> Move
         raise SkillFailed("object_lost", f"`{hand.name}` slipped out of the grip")
     slow = contact_speed(body, limit_mps)
     yield from body.line(here._replace(z_m=floor), slow, until=lambda: body.touched(PLACE_TOUCH_N))
-    if body.pose.z_m > floor + PLACE_HIGH_M:  # let go of up here it would fall, or stand on what is no support
+    yield from body.arrived()
+    if body.seen.tcp_m[2] > floor + PLACE_HIGH_M:  # let go of up here it would fall, or stand on what is no support
         raise SkillFailed("placement_failed", f"something stands where `{hand.name}` was to be put down")
 
 
 def _set_free(body: Body) -> Moves:
-    yield from body.arrived()
     yield from body.open()
     body.senses.hand = None
     body.senses.tare()

@@ -211,10 +211,10 @@ def _undo(body: Body, trail: list[Mark], limit_mps: float) -> Moves:
     taken = _taken_at(trail) if body.holding else None
     if taken is not None:
         yield from _back(body, trail[taken:], limit_mps, gentle=True)
-        if body.pose.z_m > body.senses.solver.forward(trail[taken].joints).z_m + PLACE_HIGH_M:
+        yield from body.arrived()
+        if body.seen.tcp_m[2] > body.senses.solver.forward(trail[taken].joints).z_m + PLACE_HIGH_M:
             raise SkillFailed("placement_failed", "something stands where what is held was taken from")
         body.enter("put_back", 0.5)
-        yield from body.arrived()
         yield from body.open()
         body.senses.hand = None
         body.senses.tare()
