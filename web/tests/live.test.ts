@@ -2,7 +2,7 @@ import { describe, expect, it } from 'vitest';
 import type { Escalation, Invocation, LogEvent, Risk } from '../src/lib/api/documents';
 import { gaugesFor, noneOf, readGauge, unfinished, type GaugeSpec } from '../src/lib/live/gauges';
 import { History } from '../src/lib/live/history';
-import { handsOn, holdersOf, inControl, lossOf, pausedWords, pauseEndedOf, pauserOf, refusalWords, restraintsOf, unreachedWords } from '../src/lib/live/control';
+import { handsOn, holdersOf, inControl, lossOf, pausedWords, pauseEndedOf, pauserOf, refusalWords, restraintsOf, standingLease, unreachedWords } from '../src/lib/live/control';
 import { deniedIsUndone, goingOn } from '../src/lib/live/held';
 import { reasonLines } from '../src/lib/live/reasons';
 import { askedOf, stagesOf } from '../src/lib/live/stages';
@@ -244,6 +244,9 @@ describe('the controls of a cell', () => {
     expect(handsOn(cell({ control }), 'ann', 'lease_0')).toBe('elsewhere');
     expect(handsOn(cell({ control }), 'ann', null)).toBe('elsewhere');
     expect(handsOn(cell({ control }), 'bob', 'lease_1')).toBe('other');
+    // What was asked for is seen for a moment although it is refused: a refusal that came meanwhile stays.
+    const standing = (me: string, lease: string | null): string | null => standingLease(cell({ control }), handsOn(cell({ control }), me, lease));
+    expect([standing('ann', null), standing('ann', 'lease_1'), standing('bob', null), standingLease(cell({ control: null }), 'free')]).toEqual([null, 'lease_1', 'lease_1', null]);
   });
 
   it('are lost where the log says so of their lease', () => {

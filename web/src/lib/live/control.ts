@@ -49,6 +49,14 @@ export function handsOn(cell: Cell | null, me: string | null, lease: string | nu
   return control.lease === lease ? 'here' : 'elsewhere';
 }
 
+/**
+ * Returns the lease that a refusal is said of, null where nobody has the controls. Mine in no window that shows it may be
+ * what was just asked for: a page sees that for a moment while the server still decides, and goes on without it.
+ */
+export function standingLease(cell: Cell | null, hands: Hands): string | null {
+  return hands === 'elsewhere' ? null : (cell?.control?.lease ?? null);
+}
+
 /** Why nothing that is pressed reaches the robot, in words; null where it may be taken that it does. */
 export function unreachedWords({ live, cell }: { live: boolean; cell: Pick<Cell, 'id' | 'online'> | null }): string | null {
   if (!live) return 'the link is down or too slow';
