@@ -342,6 +342,18 @@ async def test_a_launch_whose_confirmation_waits_for_the_record_is_not_given_up(
         assert cell.ops() == []
 
 
+async def answered_unheard(runtime: Runtime, cell: SlowCell, question: Escalation) -> HandCell:
+    """Have a session let go on by a word that its cell does not hear; return the cell, back on a new link."""
+    await stuck(cell)
+    await runtime.desk.resolve(question.id, OPERATOR, "approve", question.digest)
+    await cell.hang_up()
+    again = await back(runtime, cell, status="escalated")
+    await again.state()
+    await runtime.fleet.tend_once()
+    assert runtime.desk.pending_for(question.invocation) is None, "it has just been told, for all anybody knows"
+    return again
+
+
 @pytest.mark.parametrize(("why", "phase"), [("separation_m", None), ("confirm:release", "release")])
 async def test_whoever_lets_a_session_go_on_that_does_not_is_asked_again(
     house: House, why: str, phase: str | None
@@ -352,13 +364,7 @@ async def test_whoever_lets_a_session_go_on_that_does_not_is_asked_again(
         await cell.report("escalation", name, reason=why)
         question = runtime.desk.pending_for(name)
         assert question is not None
-        await stuck(cell)
-        await runtime.desk.resolve(question.id, OPERATOR, "approve", question.digest)
-        await cell.hang_up()
-        again = await back(runtime, cell, status="escalated")
-        await again.state()
-        await runtime.fleet.tend_once()
-        assert runtime.desk.pending_for(name) is None, "it has just been told, for all anybody knows"
+        again = await answered_unheard(runtime, cell, question)
         house.wall_s.offset_s = 3.0
         await runtime.fleet.tend_once()
         asked = runtime.desk.pending_for(name)
@@ -377,13 +383,7 @@ async def test_who_let_a_session_go_on_is_asked_again_though_the_clock_was_put_b
         question = runtime.desk.pending_for(name)
         assert question is not None
         house.wall_s.offset_s = -3600.0
-        await stuck(cell)
-        await runtime.desk.resolve(question.id, OPERATOR, "approve", question.digest)
-        await cell.hang_up()
-        again = await back(runtime, cell, status="escalated")
-        await again.state()
-        await runtime.fleet.tend_once()
-        assert runtime.desk.pending_for(name) is None, "it has just been told, for all anybody knows"
+        await answered_unheard(runtime, cell, question)
         monkeypatch.setattr("app.runtime.sessions.GOES_ON_S", 0.0)
         await runtime.fleet.tend_once()
         asked = runtime.desk.pending_for(name)
