@@ -451,6 +451,11 @@ def joint_path(
 
 def near_segment(point: Point, start: Point, end: Point) -> float:
     """Return the distance of a point to a line from one point to another."""
+    return hypot(*from_segment(point, start, end))
+
+
+def from_segment(point: Point, start: Point, end: Point) -> Point:
+    """Return the way to a point from the nearest one of a line between two others."""
     dx, dy = end[0] - start[0], end[1] - start[1]
     share = min(max(((point[0] - start[0]) * dx + (point[1] - start[1]) * dy) / max(dx * dx + dy * dy, 1e-9), 0.0), 1.0)
-    return hypot(point[0] - start[0] - share * dx, point[1] - start[1] - share * dy)
+    return point[0] - start[0] - share * dx, point[1] - start[1] - share * dy

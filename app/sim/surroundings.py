@@ -13,7 +13,7 @@ from math import cos, hypot, inf, sin
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from app.governance.model import CONTROL_PERIOD_S
-from app.sim.body import CONTACT_NEAR_M, CONTACT_SPEED_MPS, MARGIN
+from app.sim.body import CONTACT_NEAR_M, CONTACT_SPEED_MPS, MARGIN, from_segment
 from app.sim.navigation import furniture
 from app.sim.robot import BASE_RADIUS_M
 from app.sim.world import CRATE_HALF_M, LEVER_LENGTH_M, TOP_THICKNESS_M
@@ -138,16 +138,8 @@ def _nearest(site: Site, perception: Perception, x: float, y: float) -> Iterator
     for outline in (*furniture(site), *crates):
         nearest, dx, dy = inf, 0.0, 0.0
         for start, end in itertools.pairwise((*outline, outline[0])):
-            ax, ay = _to_segment(start, end, (x, y))
+            ax, ay = from_segment((x, y), start, end)
             if (far := hypot(ax, ay)) < nearest:
                 nearest, dx, dy = far, ax, ay
         if nearest > 0.0:
             yield dx / nearest, dy / nearest, nearest
-
-
-def _to_segment(start: Point, end: Point, point: Point) -> Point:
-    """Return the way to a point from the nearest one of a line between two others."""
-    dx, dy = end[0] - start[0], end[1] - start[1]
-    along = ((point[0] - start[0]) * dx + (point[1] - start[1]) * dy) / max(dx * dx + dy * dy, 1e-12)
-    share = min(max(along, 0.0), 1.0)
-    return point[0] - start[0] - share * dx, point[1] - start[1] - share * dy
