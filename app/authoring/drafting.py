@@ -213,8 +213,11 @@ _SEPARATION: Final[Mapping[str, Any]] = {
     "id": "protective-separation",
     "signal": "separation_m",
     "below": "protective_separation_m",
-    "response": {"enter": "pause", "clear_after_ms": 1000, "then": "resume", "persist_ms": 5000, "else": "escalate"},
-}
+    "response": {
+        "enter": "pause", "clear_after_ms": 1000, "clear_beyond": 0.05, "then": "resume", "persist_ms": 5000,
+        "else": "escalate",
+    },
+}  # fmt: skip
 
 
 _MOVING: Final = frozenset({Intervention.CONTINUE, Intervention.ROLLBACK})  # what a robot goes on moving by

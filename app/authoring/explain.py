@@ -270,7 +270,8 @@ def _watch(name: str, row: Mapping[str, Any]) -> str:
     computed = "what is computed for every tick"
     threshold = computed if row[side] == "computed" else quantity(row[side], unit)
     lasting = f" for {row['for_ms']} ms" if row["for_ms"] else ""
-    then = f"; when it has been clear for {row.get('clear_after_ms', 0)} ms it resumes" if "then" in row else ""
+    by = f" by {quantity(row['clear_beyond'], unit)}" if "clear_beyond" in row else ""
+    then = f"; when it has been clear{by} for {row.get('clear_after_ms', 0)} ms it resumes" if "then" in row else ""
     last = f"; after {row['persist_ms']} ms: {row['else']}" if "persist_ms" in row else ""
     did = "it is recorded" if row["enter"] == "continue" else f"the answer is {row['enter']}"
     return f"If `{row['signal']}` is {side} {threshold}{lasting}, {did}{then}{last}. ({name})"

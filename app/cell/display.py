@@ -71,7 +71,7 @@ def sitting(session: Governing | None) -> Sitting | None:
         profile=run.grant.authorization.profile,
         phase=run.report.phase,
         doing=run.doing.value,
-        violated=[rules[row].id for row, _ in run.watching.lasting],
+        violated=[rules[row].id for row, ticks in run.watching.lasting if ticks > 0],
         paused_by=sorted(run.paused_by),
         waits_for=run.escalated_by if run.status is Status.ESCALATED else "",  # what was asked last is no question now
     )

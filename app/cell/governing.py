@@ -523,7 +523,7 @@ class Governing:
         if run.status is not Status.PAUSED:
             return "not_paused"
         run.paused_by.clear()
-        run.responding = run.responses.let_go(run.responding)
+        run.let_go()
         self._resume("operator")
         return None
 
@@ -539,7 +539,7 @@ class Governing:
         run.confirm()
         run.paused_by.clear()
         run.hold_after_recovery = ""
-        run.responding = run.responses.let_go(run.responding)
+        run.let_go()
         if failed:
             self._prepare(Bind(Doing.ATTEMPT, permit.mode is Mode.CAREFUL), "operator")
         else:
@@ -592,7 +592,7 @@ class Governing:
         if run.status not in HELD:
             return None
         run.paused_by.clear()
-        run.responding = run.responses.let_go(run.responding)
+        run.let_go()
         self._become(HELD[run.status], "operator")
         return None
 

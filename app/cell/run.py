@@ -310,6 +310,11 @@ class Run:
         self.responses = Responses(self.watcher.rules, period_s)
         self.watching = self.watcher.begin(self.watching)
 
+    def let_go(self) -> None:
+        """Note that a human lets go on: what spoke has been answered, and only what is violated now speaks again."""
+        self.watching = self.watcher.let_go(self.watching)
+        self.responding = self.responses.let_go(self.responding)
+
     def moves(self) -> bool:
         """Say whether the skill is to be let run."""
         return self.next is None and self.status in MOVING

@@ -144,6 +144,7 @@ def _response(shape: shapes.ResponseShape) -> Response:
     return Response(
         enter=Intervention(shape.enter.upper()),
         clear_after_ms=shape.clear_after_ms,
+        clear_beyond=shape.clear_beyond,
         then=shape.then,
         persist_ms=shape.persist_ms,
         otherwise=Intervention((shape.otherwise or "escalate").upper()),

@@ -109,11 +109,24 @@ def _response(reader: Reader, path: Path, row: shapes.WatchShape, shape: shapes.
         yield reader.problem((*here, "else"), "`else` follows `persist_ms`, which is missing", ["persist_ms"])
     if response.then == "resume" and response.enter != "pause":
         yield reader.problem((*here, "then"), "only a pause can resume", ["stay"])
+    if response.clear_beyond > 0.0:
+        yield from _clearing(reader, (*here, "clear_beyond"), row)
     asks = "escalate" in (response.enter, response.otherwise) or (
         response.persist_ms is not None and response.otherwise is None
     )
     if asks and HUMANS.isdisjoint(shape.authority.modes):
         yield reader.problem(here, "nobody could answer an escalation in this profile", sorted(HUMANS))
+
+
+def _clearing(reader: Reader, path: Path, row: shapes.WatchShape) -> Iterator[PolicyError]:
+    """What never clears by itself needs no distance to clear by, and one that cannot be reached never clears."""
+    if row.method == "cusum":
+        yield reader.problem(path, "a sum falls by itself; only a threshold is cleared by a distance", ["left out"])
+    elif row.response.then != "resume" and row.response.enter != "continue":
+        yield reader.problem(path, "it does not clear by itself: it stays until a human resumes", ["then: resume"])
+    elif isinstance(row.above, (int, float)) and row.response.clear_beyond >= row.above:
+        message = f"`{row.signal}` would have to fall to {row.above - row.response.clear_beyond:g} to be clear"
+        yield reader.problem(path, message, [f"less than {row.above:g}"])
 
 
 def _recovery(reader: Reader, shape: shapes.ProfileShape, known: Known) -> Iterator[PolicyError]:

@@ -299,6 +299,10 @@ _MEANINGS: Final[Mapping[tuple[str, str], str]] = {
     ("SeparationShape", "reaction_s"): "From a person's move to the robot's first reaction.",
     ("SeparationShape", "stopping_s"): "From the first reaction to standstill.",
     ("SeparationShape", "intrusion_m"): "How far a hand reaches before it is noticed: C.",
+    (
+        "ResponseShape",
+        "clear_beyond",
+    ): "By how much the signal has to be within its threshold to be clear, in its unit.",
     ("ResponseShape", "else"): "What follows when the condition has not cleared after persist_ms.",
     ("ApprovalShape", "risk"): "The risks that ask without further cause.",
     ("CaseShape", "expect"): "What must come of it; what is not named is not compared.",

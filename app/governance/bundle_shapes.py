@@ -142,6 +142,7 @@ class ResponseShape(Shape):
 
     enter: InterventionName
     clear_after_ms: Millis = 0
+    clear_beyond: Annotated[float, Field(ge=0)] = 0.0
     then: Literal["resume", "stay"] = "stay"
     persist_ms: Annotated[int, Field(gt=0, le=3_600_000)] | None = None
     otherwise: InterventionName | None = Field(default=None, alias="else")

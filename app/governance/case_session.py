@@ -72,6 +72,7 @@ def _watch(rule: WatchRule) -> dict[str, Any]:
         "method": "" if rule.method == "threshold" else rule.method,
         "failure": rule.failure,
         "clear_after_ms": response.clear_after_ms,
+        "clear_beyond": _short(response.clear_beyond),
         "then": "" if response.then == "stay" else response.then,
         "persist_ms": response.persist_ms,
         "else": None if response.persist_ms is None else response.otherwise.value.lower(),

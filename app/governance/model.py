@@ -646,12 +646,14 @@ class Bounds(NamedTuple):
 class Response:
     """What a watch rule does while its condition holds, when it has cleared, and when it does not clear.
 
-    `enter` and `otherwise` are interventions; `then` is what follows clearance: `resume` or `stay`. With `persist_ms`
-    None it never gives up waiting.
+    `enter` and `otherwise` are interventions; `then` is what follows clearance: `resume` or `stay`. It is clear once
+    its signal has been within the threshold for `clear_after_ms`, and by `clear_beyond`, in the signal's unit. With
+    `persist_ms` None it never gives up waiting.
     """
 
     enter: Intervention
     clear_after_ms: int = 0
+    clear_beyond: float = 0.0
     then: str = "stay"
     persist_ms: int | None = None
     otherwise: Intervention = Intervention.ESCALATE

@@ -44,7 +44,7 @@ _NUMBERS: Final = {name: value for name, value in vars(detectors).items() if typ
 
 _FRAME: Final = """
 def watch(state, seen, report, command, rate, retried, unmet):
-    remembered, _, _, sums = state
+    remembered, _, lasting, sums = state
     {senses} = remembered
     if before is None:
         before = seen
@@ -95,12 +95,15 @@ class Bound(NamedTuple):
     reports: str
 
 
-def generate(plan: Constants, bounds: tuple[Bound, ...], none: tuple[float, ...], judge: Judge) -> Watch:
+def generate(
+    plan: Constants, bounds: tuple[Bound, ...], holds_on: bool, none: tuple[float, ...], judge: Judge
+) -> Watch:
     """Generate the function of one plan.
 
     Args:
         plan: What detectors take from it.
         bounds: What a quiet tick satisfies.
+        holds_on: Whether a rule is not over yet where its bound is satisfied again: no tick after it is quiet then.
         none: The sums when nothing has added up.
         judge: Called for every tick that is not quiet.
     """
@@ -114,16 +117,18 @@ def generate(plan: Constants, bounds: tuple[Bound, ...], none: tuple[float, ...]
         "NO_SUMS": none,
         "judge": judge,
     }
-    return cast("Watch", FunctionType(_code(shape, bool(none)), namespace, argdefs=(1.0, 0, 0)))
+    return cast("Watch", FunctionType(_code(shape, bool(none), holds_on), namespace, argdefs=(1.0, 0, 0)))
 
 
 @functools.lru_cache(maxsize=64)
-def _code(shape: tuple[tuple[str, bool, str], ...], adds_up: bool) -> CodeType:
+def _code(shape: tuple[tuple[str, bool, str], ...], adds_up: bool, holds_on: bool) -> CodeType:
     wanted = SHOWN.union(*({signal, reports} for signal, _, reports in shape))
     # `not` a violation and not its opposite: what cannot be compared is not quiet.
     quiet = [f"{signal} {'<=' if above else '>='} LIMIT_{number}" for number, (signal, above, _) in enumerate(shape)]
     if adds_up:
         quiet.append("sums == NO_SUMS")
+    if holds_on:
+        quiet.append("lasting == QUIET")
     frame = _FRAME.format(
         senses=", ".join(Senses._fields), signals=", ".join(Signals._fields), quiet=" and ".join(quiet) or "True"
     )

@@ -9,6 +9,10 @@ waits `for_ms · 2 (1 − s)`, and at s = 1 not at all. A CUSUM rule alarms once
 ticks, passes 2 % of the threshold times the ticks it would be debounced for. Both shrink as s rises and nothing else
 depends on s: raising it never detects less, nor later.
 
+A rule that has spoken is over once its signal is within the threshold; where its response names `clear_beyond`, once
+it is so by that much, and has been for `clear_after_ms`. Else a signal with noise that stays at a threshold would
+cross it again and again.
+
 A plan that forgets to watch plausibility or postconditions gets a built-in rule for each: what cannot be believed, or
 was not achieved, never counts as well.
 """
@@ -58,7 +62,7 @@ _ALWAYS: Final = (IMPLAUSIBLE, UNMET)
 
 
 class _Row(NamedTuple):
-    """One rule, compiled: violated unless sign · signal ≤ sign · limit, for `ticks` in a row."""
+    """One rule, compiled: violated unless sign · signal ≤ limit, for `ticks` in a row; then unless ≤ limit − beyond."""
 
     place: int
     sign: float
@@ -67,6 +71,24 @@ class _Row(NamedTuple):
     rule: WatchRule
     shown: int  # the signal an alert reports
     computed: int | None  # the signal that is the threshold, where it is computed each tick
+    beyond: float  # by how much the signal has to be within the limit to be clear
+    clearing: int  # for how many ticks
+
+    def violated(self, signals: Signals, by: float = 0.0) -> bool:
+        """Say whether the rule is violated, or is not clear of its limit by as much as given."""
+        return not self.sign * signals[self.place] <= self.limit - by  # `not … <=`, so that a NaN is a violation
+
+    def lasts(self, signals: Signals, ticks: int) -> int:
+        """Return for how long the rule has been violated now, from how long it had been the tick before.
+
+        Less than 0 is for how long it has been clear, as long as that is not for long enough.
+        """
+        if ticks < 0 or ticks >= self.ticks:  # it has spoken
+            if self.violated(signals, self.beyond):
+                return max(ticks, self.ticks - 1) + 1
+            clear = 1 - min(ticks, 0)
+            return -clear if self.beyond > 0.0 and clear < self.clearing else 0
+        return ticks + 1 if self.violated(signals) else 0
 
     def bound(self) -> Bound:
         """Return what a quiet tick satisfies."""
@@ -105,7 +127,8 @@ class Watcher:
         )
         self._constants = Constants.of(plan, period_s)
         self._none = (0.0,) * len(self._sums)
-        self.watch: Final = generate(self._constants, tuple(row.bound() for row in rows), self._none, self._judge)
+        bounds, holds_on = tuple(row.bound() for row in rows), any(row.beyond > 0.0 for row in rows)
+        self.watch: Final = generate(self._constants, bounds, holds_on, self._none, self._judge)
 
     def begin(
         self, before: WatchState | None = None, *, base: BaseEstimate = NOWHERE, doubted_until_s: float = 0.0
@@ -131,6 +154,13 @@ class Watcher:
         )
         return fresh._replace(remembered=tuple(lives_on))
 
+    def let_go(self, state: WatchState) -> WatchState:
+        """Return the state after a human let go on: what is within its limit is clear, by however little."""
+        signals = state.signals
+        lasting = ((self._rows[number], number, ticks) for number, ticks in state.lasting)
+        kept = ((number, ticks) for row, number, ticks in lasting if row.beyond == 0.0 or row.violated(signals))
+        return state._replace(lasting=tuple(kept))
+
     def signal_of(self, rule: str) -> str:
         """Return the signal that a rule watches; empty where the plan has no such rule."""
         return self._signals.get(rule, "")
@@ -150,20 +180,20 @@ class Watcher:
                 for total, row in zip(state.sums, self._sums, strict=True)
             ]
         )
-        # `not … <=`, so that a NaN is a violation.
-        violated = [number for number, row in self._plain if not row.sign * signals[row.place] <= row.limit]
-        violated += [row.row for total, row in zip(sums, self._sums, strict=True) if not total <= row.limit]
         before = dict(state.lasting)
-        lasting = tuple([(number, before.get(number, 0) + 1) for number in violated])
-        return WatchState(remembered, measured, lasting, sums), tuple(self._alerts(lasting, signals))
+        lasting = [(number, row.lasts(signals, before.get(number, 0))) for number, row in self._plain]
+        added = [row.row for total, row in zip(sums, self._sums, strict=True) if not total <= row.limit]
+        lasting += [(number, before.get(number, 0) + 1) for number in added]
+        kept = tuple([one for one in lasting if one[1] != 0])
+        return WatchState(remembered, measured, kept, sums), tuple(self._alerts(kept, signals))
 
     def _alerts(self, lasting: tuple[tuple[int, int], ...], signals: Signals) -> Iterator[Alert]:
         for number, ticks in lasting:
             row = self._rows[number]
             if ticks >= row.ticks or row.rule.method == "cusum":  # a sum that has passed its limit has lasted
-                limit = row.sign * row.limit if row.computed is None else signals[row.computed]
-                if row.rule.signal == "sensor_age_ms" and row.computed is not None:
-                    limit = signals.sensor_age_ms - signals.sensor_margin_ms
+                limit = _threshold(row, signals)
+                if row.beyond > 0.0 and not row.violated(signals):  # it says what it waits for
+                    limit -= row.sign * row.beyond
                 yield Alert(row.rule.emits, row.rule.id, signals[row.shown], limit, row.rule.failure)
 
 
@@ -206,6 +236,7 @@ def _compile(rule: WatchRule, plan: WatchPlan, period_s: float) -> _Row:
     if rule.method not in ("threshold", "cusum"):
         raise ValueError(f"`{rule.id}` uses unknown method `{rule.method}`; valid: `threshold`, `cusum`")
     ticks = max(1, math.ceil(rule.for_ms * 2.0 * (1.0 - plan.sensitivity) / (1000.0 * period_s) - 1e-9))
+    clear = _clearing(rule, period_s)
     shown = SIGNAL_NAMES.index(rule.signal)
     sign = 1.0 if rule.above else -1.0
     if rule.threshold is not None:
@@ -213,12 +244,22 @@ def _compile(rule: WatchRule, plan: WatchPlan, period_s: float) -> _Row:
             raise ValueError(f"`{rule.id}` has threshold `{rule.threshold}`; valid: a finite number")
         if holds_off(rule):
             shown = Signals._fields.index("separation_ahead_m")
-        return _Row(shown, sign, sign * rule.threshold, ticks, rule, shown, None)
+        return _Row(shown, sign, sign * rule.threshold, ticks, rule, shown, None, *clear)
     computed = _computed(rule, plan)
     if isinstance(computed, tuple):
         margin, threshold = computed
-        return _Row(margin, sign, 0.0, ticks, rule, shown, threshold)
-    return _Row(shown, sign, sign * computed, ticks, rule, shown, None)
+        return _Row(margin, sign, 0.0, ticks, rule, shown, threshold, *clear)
+    return _Row(shown, sign, sign * computed, ticks, rule, shown, None, *clear)
+
+
+def _clearing(rule: WatchRule, period_s: float) -> tuple[float, int]:
+    """Return by how much its signal has to be within the threshold to be clear, and for how many ticks."""
+    beyond = rule.response.clear_beyond
+    if not 0.0 <= beyond < math.inf:
+        raise ValueError(f"`{rule.id}` is clear beyond `{beyond}`; valid: 0 or more")
+    if rule.method == "cusum" and beyond > 0.0:
+        raise ValueError(f"`{rule.id}` has `clear_beyond` and is a sum; only a threshold is cleared by a distance")
+    return beyond, math.ceil(rule.response.clear_after_ms / (1000.0 * period_s) - 1e-9)
 
 
 def _computed(rule: WatchRule, plan: WatchPlan) -> float | tuple[int, int]:
@@ -241,6 +282,14 @@ def _computed(rule: WatchRule, plan: WatchPlan) -> float | tuple[int, int]:
     if rule.signal not in numbers:
         raise ValueError(f"`{rule.id}` needs a threshold: nothing computes one for `{rule.signal}` in this profile")
     return float(numbers[rule.signal])
+
+
+def _threshold(row: _Row, signals: Signals) -> float:
+    if row.computed is None:
+        return row.sign * row.limit
+    if row.rule.signal == "sensor_age_ms":
+        return signals.sensor_age_ms - signals.sensor_margin_ms
+    return signals[row.computed]
 
 
 def _sum_limit(row: _Row) -> float:

@@ -153,9 +153,10 @@ def test_a_clearance_takes_the_place_of_the_models_lesser_one():
 )
 def test_a_protective_distance_is_paused_below_at_once_whatever_the_model_does_there(row: str):
     file, policy = "profiles/human-shared.yaml", shipped()
-    held = "response: {enter: pause, clear_after_ms: 1000, then: resume, persist_ms: 5000, else: escalate}"
-    assert f"for_ms: 0\n    {held}" in policy.files[file]
-    model = bundle.load_files({**policy.files, file: policy.files[file].replace(f"for_ms: 0\n    {held}", row, 1)})
+    held = "clear_after_ms: 1000, clear_beyond: 0.05, then: resume, persist_ms: 5000, else: escalate"
+    held = f"for_ms: 0\n    response: {{enter: pause, {held}}}"
+    assert held in policy.files[file]
+    model = bundle.load_files({**policy.files, file: policy.files[file].replace(held, row, 1)})
     name = "speed-and-separation"
     rows = [one for one in made(name, model=model)[0].profiles[name].watch if one.signal == "separation_m"]
     assert ("pause", 0) in {(one.response.enter.value.lower(), one.for_ms) for one in rows}

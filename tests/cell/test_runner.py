@@ -36,6 +36,7 @@ from tests.cell.rig import (
     COVERED,
     DIGEST,
     HOME,
+    KEEP_AWAY,
     KEY,
     NOW_S,
     PERMIT,
@@ -572,6 +573,23 @@ def test_what_policy_bears_for_a_while_is_borne_no_longer_because_something_else
     assert rig.cell.runs == {"grasp_object": 2}
     assert rig.last("escalation")["reason"] == "contact"
     assert rig.runner.view().tick < 300
+
+
+def test_what_is_within_its_limit_by_too_little_holds_until_an_operator_lets_go_on(rig: Rig) -> None:
+    near = replace(KEEP_AWAY, clear_beyond=10.0, persist_ms=None)
+    rig.plan = replace(PLAN, rules=(*RULES, rule("contact_force_n", name="near", threshold=50.0, response=near)))
+    rig.cell.script.ticks = 300.0
+    rig.cell.lie = lambda seen: seen._replace(
+        contact_force_n=(60.0 if 1.0 < seen.time_s < 1.2 else 45.0) + seen.contact_force_n
+    )
+    rig.launch()
+    rig.until_status("paused")
+    rig.ticks(100)
+    assert rig.runner.status == "paused"
+    assert rig.runner.human("inv-1", "resume", "operator") is None
+    assert rig.finish()["outcome"] == "succeeded"
+    assert [body["status"] for body in rig.of("status")].count("paused") == 1
+    assert [body["signal"] for body in rig.of("alert") if body["rule"] == "near"] == ["VIOLATION", "NORMAL"]
 
 
 def test_a_recovery_waits_for_whoever_is_in_the_way(rig: Rig) -> None:

@@ -181,6 +181,20 @@ def test_a_launch_is_watched_from_where_the_base_is_and_not_from_where_odometry_
     assert shop.rules() == []
 
 
+@pytest.mark.parametrize(("profile", "away_m"), [("human-shared", 1.06), ("real-restricted", 1.07)])
+def test_whoever_stands_at_the_edge_has_the_robot_wait_and_not_go_on_and_off(
+    tmp_path: Path, profile: str, away_m: float
+) -> None:
+    """Their distance is known to some centimetres: at the limit it crosses it every other second."""
+    beside = Walk(points=((1.6 + 0.45 + away_m, 4.6),), start=Trigger(time_s=0.0), leaves=False)
+    shop = Workshop(tmp_path, profile=profile, people=(beside,))
+    for _ in range(60):
+        shop.runner.tick()
+    shop.launch("inspect_area", area="bench_a_top", dwell_s=10.0)
+    shop.until("escalated")
+    assert [body["status"] for body in shop.of("status")].count("paused") <= 3, shop.story()
+
+
 @pytest.mark.parametrize(
     "response",
     [

@@ -747,6 +747,67 @@ def test_an_interruption_starts_the_debounce_anew() -> None:
     assert first_alert(plan, broken) == (None, None)
 
 
+WAITING = replace(STOP, enter=Intervention.PAUSE, then="resume", clear_after_ms=40, clear_beyond=0.05)
+
+
+def heard(
+    watcher: Watcher, speeds_mps: Sequence[float], state: WatchState | None = None, start: int = 0
+) -> tuple[list[str], WatchState]:
+    """Return by tick what is said of each speed, `!` with the threshold of an alert, and the last state."""
+    said: list[str] = []
+    state = watcher.begin() if state is None else state
+    for tick, speed_mps in enumerate(speeds_mps, start):
+        state, alerts = watcher.watch(state, seen(tick, tcp_speed_mps=speed_mps), SkillReport("move", 0.5), HOLD)
+        said.append("".join(f"!{alert.threshold:g}" for alert in alerts))
+    return said, state
+
+
+def test_what_has_spoken_is_over_once_it_is_clear_by_the_distance_for_as_long_as_policy_says() -> None:
+    watcher = compile_watch(watching(rule("tcp_speed_mps", threshold=0.2, response=WAITING), sensitivity=1.0))
+    assert heard(watcher, [0.19, 0.21, 0.19, 0.16, 0.21])[0] == ["", "!0.2", "!0.15", "!0.15", "!0.2"]
+    once = [0.21, 0.14, 0.14, 0.14, 0.16, 0.16]  # clear for 30 ms is not clear yet
+    assert heard(watcher, once)[0] == ["!0.2", "", "", "", "!0.15", "!0.15"]
+    over = [0.21, 0.14, 0.14, 0.14, 0.14, 0.16, 0.19, 0.21]
+    assert heard(watcher, over)[0] == ["!0.2", "", "", "", "", "", "", "!0.2"]
+    assert heard(watcher, over[:5])[1].lasting == ()
+
+
+def test_what_never_spoke_is_over_at_its_threshold() -> None:
+    waiting = rule("tcp_speed_mps", threshold=0.2, for_ms=30, response=WAITING)
+    watcher = compile_watch(watching(waiting, sensitivity=0.5))
+    assert heard(watcher, [0.21, 0.21, 0.19, 0.21, 0.21, 0.21, 0.19])[0] == [*[""] * 5, "!0.2", "!0.15"]
+
+
+def test_a_distance_to_be_clear_by_holds_where_the_threshold_is_computed() -> None:
+    near = rule("separation_m", above=False, response=replace(WAITING, clear_after_ms=0, clear_beyond=0.1))
+    watcher = compile_watch(watching(near, sensitivity=1.0))
+    gap, state, said = expected_gap(0.0), watcher.begin(), []
+    for number, by_m in enumerate((0.05, -0.05, 0.05, 0.15, 0.05)):  # somebody else each time, and nobody remembered
+        standing = (PersonTrack(number, number * 3.0, 2.45 + gap + by_m, 2.0),)
+        one = seen(number * 300, people=standing, tcp_m=(0.0, 0.0, 0.9), base_velocity=(0.0, 0.0, 0.0))
+        state, alerts = watcher.watch(state, one, SkillReport("move", 0.5), HOLD)
+        said.append([round(alert.threshold - gap, 3) for alert in alerts if alert.rule == near.id])
+    assert said == [[], [0.0], [0.1], [], []]
+
+
+def test_a_human_who_lets_go_on_need_not_wait_for_what_is_within_its_limit() -> None:
+    watcher = compile_watch(watching(rule("tcp_speed_mps", threshold=0.2, response=WAITING), sensitivity=1.0))
+    for before, kept in (
+        ([0.21, 0.19], []),
+        ([0.21, 0.14], []),
+        ([0.19, 0.21], [(0, 1)]),
+        ([0.21, math.nan], [(0, 2)]),
+    ):
+        _, state = heard(watcher, before)
+        assert [one for one in watcher.let_go(state).lasting if one[0] == 0] == kept
+    _, state = heard(watcher, [0.21, 0.19])
+    assert heard(watcher, [0.19, 0.21], watcher.let_go(state), start=2)[0] == ["", "!0.2"]
+    waiting = rule("tcp_speed_mps", threshold=0.2, for_ms=100)  # without a distance all stays as it is
+    other = compile_watch(watching(waiting, sensitivity=0.5))
+    _, state = heard(other, [0.21] * 5)
+    assert other.let_go(state) == state
+
+
 def test_an_attempt_begins_with_fresh_timers_and_known_positions() -> None:
     plan = watching(rule("elapsed_s"))
     stream = [seen(tick, fix=Fix(tick * 0.01, 2.5, 2.0, 0.0)) for tick in range(190)]
@@ -763,6 +824,9 @@ def test_an_attempt_begins_with_fresh_timers_and_known_positions() -> None:
         (watching(rule("mood", threshold=1.0)), "unknown signal `mood`"),
         (watching(rule("slip_m", threshold=1.0, method="magic")), "unknown method `magic`"),
         (watching(rule("slip_m", threshold=math.nan)), "finite"),
+        (watching(rule("slip_m", threshold=1.0, method="cusum", response=WAITING)), "only a threshold is cleared"),
+        (watching(rule("slip_m", threshold=1.0, response=replace(WAITING, clear_beyond=-1.0))), "0 or more"),
+        (watching(rule("slip_m", threshold=1.0, response=replace(WAITING, clear_beyond=math.nan))), "0 or more"),
         (watching(rule("slip_m")), "needs a threshold"),
         (watching(rule("separation_m", above=False), separation=None), "needs a threshold"),
         (watching(rule("slip_m", threshold=1.0), rule("slip_m", threshold=2.0)), "appear twice"),
@@ -798,6 +862,7 @@ watched = st.lists(
         st.floats(0.0, 120.0),
         st.integers(0, 120),
         st.sampled_from(["threshold", "cusum"]),
+        st.sampled_from([0.0, 0.05, 20.0]),
     ),
     min_size=1,
     max_size=6,
@@ -812,12 +877,20 @@ watched = st.lists(
     high=st.floats(0.0, 1.0),
 )
 def test_raising_sensitivity_never_detects_less_nor_later(
-    rules: list[tuple[str, bool, float, int, str]], stream: list[dict[str, object]], low: float, high: float
+    rules: list[tuple[str, bool, float, int, str, float]], stream: list[dict[str, object]], low: float, high: float
 ) -> None:
     low, high = sorted((low, high))
     made = tuple(
-        rule(signal, above=above, threshold=threshold, for_ms=for_ms, method=method, id=f"{signal}-{number}")
-        for number, (signal, above, threshold, for_ms, method) in enumerate(rules)
+        rule(
+            signal,
+            above=above,
+            threshold=threshold,
+            for_ms=for_ms,
+            method=method,
+            id=f"{signal}-{number}",
+            response=replace(WAITING, clear_beyond=0.0 if method == "cusum" else beyond),
+        )
+        for number, (signal, above, threshold, for_ms, method, beyond) in enumerate(rules)
     )
     observations = [seen(tick, **one) for tick, one in enumerate(stream)]
     lax, _, _ = run(watching(*made, sensitivity=low), observations, command=GRIPPING)
