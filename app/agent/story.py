@@ -24,7 +24,7 @@ from app.agent.planner import Goal, GoalFailed, ReferenceAgent
 Event: TypeAlias = Mapping[str, Any]
 
 _LAST_WORDS = 20
-_VERBS = {"approve": "approves", "deny": "denies"}
+_VERBS = {"approve": "approves", "deny": "denies", "void": "counts an approval no more: asks on about"}
 
 FETCH = Goal(kind="fetch", subject="mug_1", destination="bench_b")
 

@@ -16,7 +16,15 @@ from app.audit.errors import RecordUnavailable, RowUnreadable
 from app.governance.authority import denial
 from app.governance.model import Outcome, Reason, Status
 from app.runtime.answer import RULE, Answer
-from app.runtime.drafts import SERVER, acknowledged_event, escalation_event, outcome_event, reason, with_reason
+from app.runtime.drafts import (
+    SERVER,
+    acknowledged_event,
+    escalation_event,
+    outcome_event,
+    reason,
+    voided_event,
+    with_reason,
+)
 from app.runtime.errors import Conflict, Forbidden, InvalidParams, NotFound
 from app.runtime.escalation import (
     APPROVAL,
@@ -251,6 +259,8 @@ class Desk(Questions):
     async def expire_due(self) -> None:
         """Close every question whose time is over, as nobody's answer, and every one about what has ended.
 
+        An approval of somebody who may give none any more is taken off what still waits for others.
+
         All of them at once: a session is told to end before that is recorded, and waits for the record of no other.
 
         Raises:
@@ -271,6 +281,19 @@ class Desk(Questions):
                 present = self._pending.get(known.id)
                 if present is not None and self.due(present):
                     await self._expire(present, entry.newest)
+        elif self._void(known):
+            async with entry.lock:
+                present = self._pending.get(known.id)
+                if present is not None and (void := self._void(present)):
+                    now = self.register.now()
+                    left = present.evolve(now, approvals=self.approvals(present))
+                    await self.register.append([voided_event(left, void)], [left.row()])
+                    self.hold(left)
+
+    def _void(self, question: Escalation) -> list[str]:
+        """Return who approved something that still waits for others, and may approve nothing any more."""
+        counting = {said["by"] for said in self.approvals(question)}
+        return [said["by"] for said in question.approvals if said["by"] not in counting]
 
     async def _expire(self, present: Escalation, invocation: Invocation) -> None:
         if present.kind == SESSION_QUESTION:

@@ -8,7 +8,7 @@ from app.audit.event import EventDraft
 from app.governance.model import EventKind, PolicyOutcome
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
 
     from app.governance.model import Verdict
     from app.runtime.cells import Cell
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
 SERVER: Final = "server"
 ACKNOWLEDGE: Final = "acknowledge"  # somebody looks at a question; decides nothing
+VOID: Final = "void"  # approvals count no more
 EDIT: Final = "authority/edit"
 DENIAL: Final = "authority/denial"  # by a person, for a reason that policy names
 
@@ -111,6 +112,12 @@ def acknowledged_event(escalation: Escalation, principal: Principal) -> EventDra
     """Return the event of a person's saying that they look at a question."""
     body = {"op": ACKNOWLEDGE, "role": principal.role, "escalation": escalation.public()}
     return EventDraft(kind=EventKind.HUMAN, actor=principal.name, invocation=escalation.invocation, body=body)
+
+
+def voided_event(escalation: Escalation, givers: Sequence[str]) -> EventDraft:
+    """Return the event that approvals count no more: who gave them may approve nothing since."""
+    body = {"decision": VOID, "givers": list(givers), "escalation": escalation.public()}
+    return EventDraft(kind=EventKind.APPROVAL, actor=SERVER, invocation=escalation.invocation, body=body)
 
 
 def grant_event(op: str, actor: str, standing: Standing) -> EventDraft:

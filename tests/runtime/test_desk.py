@@ -12,7 +12,7 @@ import pytest
 from app.agent.approver import decide, parse_habits
 from app.audit.errors import RecordUnavailable
 from app.clock import monotonic_s
-from app.governance.model import GrantScope
+from app.governance.model import EventKind, GrantScope
 from app.runtime import questions
 from app.runtime.assembly import Runtime
 from app.runtime.errors import Conflict, Forbidden, InvalidParams, NotFound
@@ -219,6 +219,27 @@ async def test_an_approval_goes_with_the_authority_of_who_gave_it(
     assert (alone["status"], [one["by"] for one in alone["approvals"]]) == ("pending", [OPERATOR_2.name])
     assert not cell.all("launch")
     house.withdrawn.clear()
+    assert (await answer(runtime, question))["status"] == "approved"
+    await cell.expect("launch")
+
+
+async def test_an_approval_of_who_may_approve_no_more_is_taken_off_what_waits_and_recorded(
+    house: House, runtime: Runtime, cell: HandCell
+) -> None:
+    cell.facts = dict(AT_TOOLS)
+    await cell.state()
+    made, question = await asked(runtime, press())
+    await answer(runtime, question)
+    house.withdrawn.add(OPERATOR.name)
+
+    await until(lambda: [one.approvals for one in runtime.desk.pending()] == [()])
+    events = await runtime.register.store.events(invocation=made["id"], kind=EventKind.APPROVAL)
+    said = events[-1].payload()
+    assert (events[-1].actor, said["decision"], said["givers"]) == ("server", "void", [OPERATOR.name])
+    assert said["escalation"]["status"] == "pending"
+    house.withdrawn.clear()  # a token anew is no word anew
+    alone = await answer(runtime, question, who=OPERATOR_2)
+    assert (alone["status"], len(alone["approvals"])) == ("pending", 1)
     assert (await answer(runtime, question))["status"] == "approved"
     await cell.expect("launch")
 

@@ -165,6 +165,11 @@ describe('an edit of a question that is open', () => {
   const after = escalation({ ...before, digest: 'e', edits: [edit], approvals: [{ by: 'bob', at: '', digest: 'e' }] });
   const approved = (of: object): LogEvent => event('approval', { decision: 'approve', escalation: { ...of } }, 'inv_1', 'ann');
 
+  it('tells of approvals that count no more', () => {
+    const told = event('approval', { decision: 'void', givers: ['ann'], escalation: { ...before, approvals: [] } }, 'inv_1', 'server');
+    expect(eventLine(told).text).toBe('The approval of ann counts no more, with their token; 0 of 2');
+  });
+
   it('stands until it is no longer what is asked, and only where it changed something', () => {
     expect(standingEdit(after)?.steps).toEqual([{ name: 'force_n', from: 60, to: 40 }]);
     expect(standingEdit({ ...after, digest: 'another policy' })).toBeNull();

@@ -169,6 +169,8 @@ function approval(body: Body, event: LogEvent, known: Known): Line {
     }
     case 'deny':
       return line('refused', 'danger', ` ${deniedWords(asked['denial'])}`, event.actor);
+    case 'void':
+      return line('refused', 'warn', `The approval of ${list(body['givers']).map(str).join(' and ')} counts no more, with their token; ${given} of ${of}`);
     default:
       return line('hand', 'quiet', `Question ${str(asked['status']) || 'closed'}`);
   }
