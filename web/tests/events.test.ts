@@ -166,7 +166,7 @@ describe('an edit of a question that is open', () => {
   const approved = (of: object): LogEvent => event('approval', { decision: 'approve', escalation: { ...of } }, 'inv_1', 'ann');
 
   it('tells of approvals that count no more', () => {
-    const told = event('approval', { decision: 'void', givers: ['ann'], escalation: { ...before, approvals: [] } }, 'inv_1', 'server');
+    const told = event('approval', { decision: 'void', givers: ['ann'], escalation: { needed: 2, approvals: [] } }, 'inv_1', 'server');
     expect(eventLine(told).text).toBe('The approval of ann counts no more, with their token; 0 of 2');
   });
 
