@@ -131,7 +131,7 @@ class Constants(NamedTuple):
     The protective separation S_p = v_h (T_r + T_s) + v_r T_r + v_r T_s / 2 + C + Z_d + Z_r is split into what is fixed
     (`fixed_gap_m`), what v_r multiplies (`gap_per_speed_s`), and what is to be added where somebody comes faster than
     v_h (`human_speed_mps`), per speed (`gap_per_human_speed_s`). `held_off_m` is the distance that a rule names which
-    holds the robot while somebody is nearer; 0 without one.
+    holds the robot while somebody is nearer; 0 without one. Where a profile declares no S_p, that is the distance kept.
     """
 
     period_s: float
@@ -159,20 +159,21 @@ class Constants(NamedTuple):
         if not plan.base_deceleration_mps2 > 0.0:
             raise ValueError(f"base deceleration `{plan.base_deceleration_mps2}` m/s²; valid: more than 0")
         gap = plan.separation
+        held_off_m = max((rule.threshold or 0.0 for rule in plan.rules if holds_off(rule)), default=0.0)
         return cls(
             period_s=period_s,
             keepouts=tuple(Keepout.of(zone) for zone in plan.zones),
             base_deceleration_mps2=plan.base_deceleration_mps2,
             base_radius_m=plan.base_radius_m,
             age_limits_s=tuple(plan.stale_after_ms.get(name, math.inf) / 1000.0 for name in known),
-            fixed_gap_m=0.0 if gap is None else (
+            fixed_gap_m=held_off_m if gap is None else (
                 gap.human_speed_mps * (gap.reaction_s + gap.stopping_s)
                 + gap.intrusion_m + gap.position_uncertainty_m + gap.robot_uncertainty_m
             ),
             gap_per_speed_s=0.0 if gap is None else gap.reaction_s + gap.stopping_s / 2.0,
             gap_per_human_speed_s=0.0 if gap is None else gap.reaction_s + gap.stopping_s,
             human_speed_mps=WALKING_MPS if gap is None else gap.human_speed_mps,
-            held_off_m=max((rule.threshold or 0.0 for rule in plan.rules if holds_off(rule)), default=0.0),
+            held_off_m=held_off_m,
         )  # fmt: skip
 
     def stale(self, seen: Observation) -> tuple[str, ...]:

@@ -38,7 +38,7 @@ def shoot(person: Person, name: str) -> None:
 def live(person: Person) -> None:
     asked = person.page.get_by_role("article", name="Drive to bench_b")
     # Nothing else holds the robot: a cell whose link broke off on a busy machine makes another picture.
-    expect(asked).to_contain_text("A person stayed inside the protective distance.")
+    expect(asked).to_contain_text("A person stayed inside the protective distance, or at its edge.")
 
 
 def takeover(person: Person) -> None:

@@ -358,6 +358,17 @@ def test_a_numeric_separation_needs_no_constants() -> None:
     assert first_alert(plan, [seen(0, people=(PersonTrack(1, 0.0, 3.1, 2.0),))]) == (None, None)
 
 
+@pytest.mark.parametrize(
+    ("enter", "kept_m"), [(Intervention.PAUSE, 0.5), (Intervention.STOP, 0.5), (Intervention.CONTINUE, 0.0)]
+)
+def test_a_distance_that_a_rule_keeps_is_shown_as_what_there_has_to_be(enter: Intervention, kept_m: float) -> None:
+    near = rule("separation_m", above=False, threshold=0.5, response=replace(STOP, enter=enter))
+    for people in ((), (PersonTrack(1, 0.0, 2.9, 2.0),)):
+        _, state, _ = run(watching(near, separation=None), [seen(0, people=people)])
+        assert state.signals.protective_separation_m == kept_m
+    assert state.signals.separation_margin_m == pytest.approx(state.signals.separation_m - kept_m)
+
+
 def test_a_stall_is_no_progress_and_no_motion_and_a_pause_is_none() -> None:
     plan = watching(rule("stall_s", threshold=1.0))
     stuck = SkillReport("press", 0.4)

@@ -303,6 +303,7 @@ describe('the controls of a cell', () => {
   it('say in words why they are not obeyed, and name a rule without any', () => {
     expect(refusalWords('release_first')).toBe('let go of everything, then press again');
     expect(refusalWords('human-shared/separation')).toBe('a person is too near');
+    expect(refusalWords('people')).toBe('a person is too near');
     expect(refusalWords('human-shared/base-speed')).toBe('stopped by base-speed');
   });
 });
@@ -331,8 +332,8 @@ describe('letting a held session go on', () => {
   const near = (busy = 'inv_1', ...violated: string[]): ReturnType<typeof cell> => cell({ busy, status: 'escalated', session: { ...heldBy(), violated } });
   const paused = event('intervention', { intervention: 'PAUSE', rule: 'separation' });
 
-  it('says that it waits as long as somebody is too near, and asks again', () => {
-    expect(goingOn(asks('separation'), near('inv_1', 'separation'), [])).toEqual({ yes: 'Go on once they have left', note: expect.stringMatching(/^(?!.*\byou\b).*asks again if they stay/) as string }); // whoever may only look reads it, too
+  it.each(['separation', 'people', 'protective-separation'])('says that it waits as long as somebody is too near, and asks again (%s)', (rule) => {
+    expect(goingOn(asks(rule), near('inv_1', rule), [])).toEqual({ yes: 'Go on once they have left', note: expect.stringMatching(/^(?!.*\byou\b).*asks again if they stay/) as string }); // whoever may only look reads it, too
     expect(goingOn(asks('separation'), near('inv_1', 'zone'), [])).toEqual({ yes: 'Let it go on', note: null });
     expect(goingOn(asks('separation'), near('inv_2', 'separation'), []).yes).toBe('Let it go on');
     expect(goingOn(asks('separation'), null, []).note).toBeNull();
@@ -357,8 +358,11 @@ describe('why a held session asks', () => {
   it('says what a person may do about it', () => {
     const held = escalation({ kind: 'session', reasons: [{ ...reason, code: 'rollback_failed' }] });
     expect(reasonLines(held, null)[0]).toMatchObject({ strong: 'It could not be undone and verified.', text: 'The robot holds where it is and waits. Let it go on with a new attempt, or end it.' });
-    const near = escalation({ kind: 'session', reasons: [{ ...reason, code: 'separation' }] });
-    expect(reasonLines(near, null)[0]?.text).toBe('The robot holds where it is and waits. Let it go on with a new attempt, or end it.');
+  });
+
+  it.each(['separation', 'people'])('is somebody too near, whatever the rule is called (%s)', (code) => {
+    const near = escalation({ kind: 'session', reasons: [{ ...reason, code }] });
+    expect(reasonLines(near, null)[0]).toMatchObject({ icon: 'person', strong: 'A person stayed inside the protective distance, or at its edge.', text: 'The robot holds where it is and waits. Let it go on with a new attempt, or end it.' });
   });
 
   it('is a rollback that cannot be had, in words', () => {

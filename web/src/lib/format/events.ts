@@ -9,7 +9,7 @@ import { keptWords } from './kept';
 import { cellWords, orderWords, toldWords, undoneWords, versionWords } from './orders';
 import { plain } from './plain';
 import { labelFor, valueOf } from './quantity';
-import { ruleWords } from './rules';
+import { isNearness, ruleWords } from './rules';
 import { clockTime } from './time';
 
 export type EventIcon = 'dot' | 'scale' | 'check' | 'alert' | 'pause' | 'stop' | 'hand' | 'undo' | 'person' | 'plug' | 'flag' | 'log' | 'refused';
@@ -45,7 +45,7 @@ const line = (icon: EventIcon, tone: Tone, text: string, strong = ''): Line => (
 
 function reading(rule: string, value: number | null, limit: number | null): string {
   if (value === null) return '';
-  const unit = rule === 'separation' ? ' m' : '';
+  const unit = isNearness(rule) ? ' m' : '';
   const said = ` ${value.toFixed(2)}${unit}`;
   return limit === null ? said : `${said}, limit ${limit.toFixed(2)}${unit}`;
 }

@@ -3,7 +3,6 @@ import { entryOf } from './entry';
 
 /** Rules of the watcher in words; others speak by their name. */
 const RULES: Record<string, string> = {
-  separation: 'Separation',
   'contact-force': 'Contact force',
   'grip-force': 'Grip force',
   'tcp-speed': 'Tool speed',
@@ -21,5 +20,9 @@ const RULES: Record<string, string> = {
 };
 
 export function ruleWords(rule: string): string {
+  if (isNearness(rule)) return 'Separation';
   return entryOf(RULES, rule) ?? words(rule.replace(/^.*\//, '').replaceAll('-', '_'));
 }
+
+/** Whether a rule is about people who are too near: by what shipped profiles, and those from templates, call it. */
+export const isNearness = (rule: unknown): boolean => typeof rule === 'string' && /^(?:.*\/)?(?:separation|people|protective-separation)$/.test(rule);

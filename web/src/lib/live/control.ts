@@ -1,5 +1,6 @@
 import type { Cell, Control, Invocation, LogEvent } from '../api/documents';
 import { entryOf } from '../format/entry';
+import { isNearness } from '../format/rules';
 import type { Tone } from '../format/status';
 
 const OVER = new Set(['rejected', 'deferred', 'denied', 'completed', 'failed', 'awaiting_approval']);
@@ -138,7 +139,6 @@ const WHY: Record<string, string> = {
   holding: 'the cell holds, its link was away',
   unreachable: 'the arm does not reach there',
   blocked: 'the base has met something; let go, then drive away from it',
-  separation: 'a person is too near',
   zone: 'a forbidden zone is too near',
   stale: 'a sensor is silent',
 };
@@ -195,5 +195,6 @@ export function pausedWords(cell: Cell | null, pauser: string | null = null): { 
 /** Why a command of somebody who drives is not obeyed, in words; a rule without any is named. */
 export function refusalWords(code: string): string {
   const rule = code.split('/').at(-1) ?? code;
+  if (isNearness(rule)) return 'a person is too near';
   return entryOf(WHY, rule) ?? `stopped by ${rule.replaceAll('_', ' ')}`;
 }

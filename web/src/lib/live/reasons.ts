@@ -1,6 +1,6 @@
 import type { Escalation, InputSchema, Invocation, Reason } from '../api/documents';
 import { entryOf } from '../format/entry';
-import { ruleWords } from '../format/rules';
+import { isNearness, ruleWords } from '../format/rules';
 import { plain } from '../format/plain';
 import { labelFor } from '../format/quantity';
 
@@ -15,7 +15,6 @@ export interface ReasonLine {
 
 /** Why a held session asks, by the code the cell gives. */
 const HELD: Record<string, string> = {
-  separation: 'A person stayed inside the protective distance.',
   stale: 'A sensor has gone silent.',
   implausible: 'A sensor says what cannot be.',
   retries: 'The tries that policy allows are used up.',
@@ -32,7 +31,10 @@ const HELD: Record<string, string> = {
 /** Before which phase a person is to confirm it, as the cell says it. */
 const CONFIRM = /^confirm:(.+)$/;
 
+const TOO_NEAR = 'A person stayed inside the protective distance, or at its edge.';
+
 function heldWords(code: string): string {
+  if (isNearness(code)) return TOO_NEAR;
   const phase = CONFIRM.exec(code)?.[1];
   return phase === undefined ? (entryOf(HELD, code) ?? '') : `Policy wants a person to confirm “${plain(phase)}” before it begins.`;
 }
@@ -41,7 +43,7 @@ function heldWords(code: string): string {
 const SOURCE = / \([^()]*\)$/;
 
 function lineOf(reason: Reason, held: boolean, inputs: Inputs): ReasonLine {
-  const icon = /separation|person/.test(`${reason.rule} ${reason.code}`) ? 'person' : held ? 'hand' : 'scale';
+  const icon = isNearness(reason.code) || /separation|person/.test(reason.rule) ? 'person' : held ? 'hand' : 'scale';
   const strong = held ? heldWords(reason.code) : '';
   const message = reason.code === 'limit' ? reason.message.replace(SOURCE, '') : reason.message;
   const said = strong === '' ? sentence(message, inputs) : 'The robot holds where it is and waits.';
