@@ -30,7 +30,7 @@ from typing import TYPE_CHECKING, Any, Final
 from app.governance import bundle_build, bundle_checks, bundle_checks_profile, bundle_checks_site, bundle_shapes
 from app.governance.bundle_checks import Known
 from app.governance.bundle_fit import fit
-from app.governance.bundle_yaml import Reader, parse
+from app.governance.bundle_yaml import Reader, parse, turned
 from app.governance.conditions import TESTS
 from app.governance.errors import ExpressionError, PolicyError, PolicyErrors
 from app.governance.fitting import validator
@@ -168,6 +168,7 @@ def load_files(files: Mapping[str, str]) -> PolicySet:
         PolicyErrors: Something is wrong with them; everything that is.
     """
     source = read_shapes(files)
+    source.problems += [problem for name in sorted(files) for problem in turned(name, files[name])]
     untyped = _set_apart_untyped(source)
     if ORGANIZATION not in source.single or not source.capabilities or not source.profiles:  # nothing to hold names to
         raise PolicyErrors([*source.problems, *untyped])

@@ -85,6 +85,22 @@ _KEPT_CHARACTERS: Final = 32_768  # of one file: what is kept stays small, whate
 _MAX_DIGITS: Final = 400  # of an integer with leading zeros; longer ones are not even read
 
 
+_TURNING: Final = re.compile("[\u202a-\u202e\u2066-\u2069]")  # embeddings, overrides, isolates (Unicode TR 9)
+
+
+def turned(file: str, text: str) -> list[PolicyError]:
+    """Return a problem for every mark that turns round how a line is read, comments included.
+
+    People sign what they read, and the server takes what stands there (Unicode TR 36, 2.10).
+    """
+    found = ((at, mark) for at, line in enumerate(text.splitlines(), 1) for mark in _TURNING.findall(line))
+    said = "`U+{:04X}` turns round how the line is read"
+    return [
+        PolicyError(file=file, line=at, key="", message=said.format(ord(mark)), valid=["text without it"])
+        for at, mark in found
+    ]
+
+
 class _Walk:
     """Turns yaml's node tree into plain values, gathering lines and problems on the way."""
 
