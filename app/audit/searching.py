@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple, Protocol
 import orjson
 
 from app.audit.errors import EventUnreadable
+from app.audit.reader import MAX_PAGE_BYTES
 from app.clock import monotonic_s
 
 if TYPE_CHECKING:
@@ -108,6 +109,8 @@ def search(
 ) -> Found:
     """Look for words in a stretch of the log, until `limit` events are found or `MOST` looked at, or for `WITHIN_S`.
 
+    What was found is no longer than a page (`MAX_PAGE_BYTES`) but for its last event.
+
     Args:
         read: reads the events that come into question.
         words: what is looked for.
@@ -123,15 +126,16 @@ def search(
     """
     until_s = monotonic_s() + WITHIN_S
     found: list[Event] = []
-    looked, last = 0, None
-    while looked < MOST and len(found) < limit and (not looked or monotonic_s() < until_s):
+    looked, last, room = 0, None, MAX_PAGE_BYTES
+    while looked < MOST and len(found) < limit and room > 0 and (not looked or monotonic_s() < until_s):
         page = read(after=after, before=before, newest=newest, limit=min(SLICE, MOST - looked))
         for event in page:
             last = event
             looked += 1
             if words.held_by(event):
                 found.append(event)
-                if len(found) == limit:
+                room -= len(event.body)
+                if len(found) == limit or room <= 0:
                     break
         if last is None or not page:
             return Found(found, looked, last, more=False)

@@ -114,6 +114,15 @@ def test_one_look_ends_where_enough_is_found_or_looked_at_and_says_whether_there
 
 
 @pytest.mark.usefixtures("small")
+def test_one_look_ends_where_what_was_found_fills_a_page(monkeypatch: pytest.MonkeyPatch) -> None:
+    log = Log(20, {2, 4, 5, 20})
+    monkeypatch.setattr(searching, "MAX_PAGE_BYTES", len(log.events[1].body) + 1)
+    assert told(search(log.read, HERE)) == ([2, 4], 4, 4, True)
+    assert told(search(log.read, HERE, after=4)) == ([5], 10, 14, True)
+    assert told(search(log.read, HERE, after=14)) == ([20], 6, 20, False)
+
+
+@pytest.mark.usefixtures("small")
 def test_one_look_ends_when_its_time_is_over_and_not_before_it_has_looked_at_all(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
