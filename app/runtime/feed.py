@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from app.audit.store import AuditStore
 
 MAX_WAITING: Final = 2048
+MAX_WAITING_BYTES: Final = 16_000_000  # an event may be as long as a request's body
 PAGE: Final = 500
 
 
@@ -31,6 +32,7 @@ class Subscription:
         self._store = store
         self._after = after
         self._waiting: deque[Event] = deque()
+        self._bytes = 0
         self._more = asyncio.Event()
         self.closed = False
 
@@ -38,17 +40,25 @@ class Subscription:
         """Take events that were just committed; a queue that is full closes."""
         if self.closed:
             return
-        if len(self._waiting) + len(events) > MAX_WAITING:
+        size = self._bytes + sum(len(event.body) for event in events)
+        if len(self._waiting) + len(events) > MAX_WAITING or (self._waiting and size > MAX_WAITING_BYTES):
             self.close()
             return
         self._waiting.extend(events)
+        self._bytes = size
         self._more.set()
 
     def close(self) -> None:
         """End it; what waits is dropped, the listener resumes from the last `seq` it has seen."""
         self.closed = True
-        self._waiting.clear()
+        self._take()
         self._more.set()
+
+    def _take(self) -> list[Event]:
+        """Return what waits, which waits no longer."""
+        taken, self._bytes = list(self._waiting), 0
+        self._waiting.clear()
+        return taken
 
     async def __aiter__(self) -> AsyncIterator[list[Event]]:
         """Yield events in batches: first what the log holds already, then what is committed."""
@@ -60,8 +70,7 @@ class Subscription:
         while not self.closed:
             await self._more.wait()
             self._more.clear()
-            batch = [event for event in self._waiting if seen is None or event.seq > seen]
-            self._waiting.clear()
+            batch = [event for event in self._take() if seen is None or event.seq > seen]
             if batch:
                 seen = batch[-1].seq
                 yield batch

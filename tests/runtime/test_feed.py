@@ -43,10 +43,11 @@ async def test_a_listener_that_comes_back_misses_nothing(runtime: Runtime) -> No
         assert await reading == list(range(3, runtime.store.size + 1))
 
 
+@pytest.mark.parametrize(("bound", "most"), [("MAX_WAITING", 10), ("MAX_WAITING_BYTES", 2000)])
 async def test_a_slow_listener_is_closed_and_resumes_where_it_was(
-    runtime: Runtime, monkeypatch: pytest.MonkeyPatch
+    runtime: Runtime, monkeypatch: pytest.MonkeyPatch, bound: str, most: int
 ) -> None:
-    monkeypatch.setattr(feed_module, "MAX_WAITING", 10)
+    monkeypatch.setattr(feed_module, bound, most)
     with runtime.feed.subscribe() as slow, runtime.feed.subscribe() as quick:
         first = await runtime.store.append(drafts(5))
         assert await collect(quick, first[-1]) == first
