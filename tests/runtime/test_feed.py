@@ -43,7 +43,7 @@ async def test_a_listener_that_comes_back_misses_nothing(runtime: Runtime) -> No
         assert await reading == list(range(3, runtime.store.size + 1))
 
 
-@pytest.mark.parametrize(("bound", "most"), [("MAX_WAITING", 10), ("MAX_WAITING_BYTES", 2000)])
+@pytest.mark.parametrize(("bound", "most"), [("MAX_WAITING", 10), ("MAX_WAITING_BYTES", 1200)])
 async def test_a_slow_listener_is_closed_and_resumes_where_it_was(
     runtime: Runtime, monkeypatch: pytest.MonkeyPatch, bound: str, most: int
 ) -> None:
