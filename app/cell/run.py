@@ -47,6 +47,7 @@ MOVING: Final = (Status.RUNNING, Status.RECOVERING)
 EASED: Final = 0.9
 GIVES_RAD: Final = 0.15  # a push of 600 N bends the arm by less
 GIVES_TICKS: Final = 60
+PUSHED_NM: Final = 5.0  # as much is left unexplained by a sound run; less says nothing of who pushes whom
 RETURNS_RADPS: Final = 0.1  # 6 cm/s for a hand at 0.6 m: what it gave way to may be there still
 STRAYS_RAD: Final = 0.2  # more than a stop or `GIVES_RAD` moves a joint that is held
 LINK: Final = "link"  # why a cell holds whose link's lease has lapsed
@@ -249,7 +250,8 @@ class Run:
         """Have the arm keep where it is instead of where it was told to be, so that its servos stop pressing.
 
         For a while it follows what it pressed against (the reaction of De Luca et al. 2006: no stiffness after a
-        collision), by no more than `GIVES_RAD`; then it keeps where that has led.
+        collision), by no more than `GIVES_RAD`; then it keeps where that has led. Only where it is pushed: drives that
+        run ahead of what they are told move it as well, and to follow these leads it on into what it met.
         """
         self.giving_ticks = GIVES_TICKS
         if self.given is None:
@@ -262,10 +264,10 @@ class Run:
             return command
         if self.giving_ticks > 0:
             self.giving_ticks -= 1
-            # The constants go first in min() and max(): there they win against a reading that is no number.
+            # A reading that is no number is greater than nothing, and moves nothing.
             self.given = tuple(  # type: ignore[assignment]  # six of them
-                max(told - GIVES_RAD, min(told + GIVES_RAD, q))
-                for told, q in zip(self.told, seen.joint_rad, strict=True)
+                max(told - GIVES_RAD, min(told + GIVES_RAD, q)) if abs(nm) > PUSHED_NM and (q - at) * nm > 0.0 else at
+                for told, at, q, nm in zip(self.told, self.given, seen.joint_rad, seen.residual_nm, strict=True)
             )
         return command._replace(joint_rad=self.given, joint_speed_radps=_AT_REST)
 

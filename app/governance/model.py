@@ -560,7 +560,8 @@ class Observation(NamedTuple):
 
     Frames: `tcp_m` and `jacobian` (3 × 6, row-major, d tcp / d joint) are relative to the base; `odometry` (x_m, y_m,
     yaw_rad) is dead reckoning in the world frame and drifts; `base_velocity` (vx, vy m/s in the base frame, wz rad/s)
-    comes from the drives. `joint_torque_nm` is averaged over the substeps; `residual_nm` is the momentum residual.
+    comes from the drives. `joint_torque_nm` is averaged over the substeps; `residual_nm` is the momentum residual,
+    what pushes on the joints from outside, positive where it turns them forward.
     `contact_force_n` is the magnitude at the wrist, compensated for gripper and load, averaged over the tick;
     `peak_force_n` its highest substep. `slip_m` is in-hand slip since the grip closed. `frames` is None where samples
     carry no noise, or give nothing to tell one from the next by: then what is frozen while it stands goes unnoticed.

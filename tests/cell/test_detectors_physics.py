@@ -20,6 +20,7 @@ from app.sim.faults import Fault
 from app.sim.occasions import Trigger
 from app.sim.people import Walk
 from app.sim.skills import Run
+from app.sim.trial import run_skill
 from tests.cell.workshop import Workshop
 
 pytestmark = pytest.mark.physics
@@ -262,6 +263,23 @@ def test_an_arm_that_meets_something_stiff_gives_way_instead_of_pressing_on(tmp_
     assert max(pressing_n) < 100.0  # the limit; an arm that keeps where it was told to be presses with six times that
     given = [abs(a - b) for a, b in zip(told, shop.cell.hold().joint_rad, strict=True)]
     assert 0.005 < max(given) <= GIVES_RAD
+
+
+def test_an_arm_gives_way_to_what_pushes_it_and_not_to_drives_that_run_ahead(tmp_path: Path) -> None:
+    # They move it on towards what it met: whoever follows that leads it there.
+    ahead = fault("speed_scaling", Trigger(capability="operate_tool", phase="operate", after_s=0.2), gain=1.5)
+    shop = Workshop(tmp_path, profile="real-restricted", faults=(ahead,))
+    assert run_skill(shop.cell, "navigate_to", {"target": "tool_stand", "speed_mps": 0.6, "clearance_m": 0.3}).done
+    shop.launch("operate_tool", tool="lever", action="pull_down", force_n=40.0, speed_mps=0.5)
+    until_alert(shop)
+    assert shop.rules() == ["external-torque"]
+    session = shop.runner.session
+    assert session is not None
+    pressing_n, low_m = shop.cell.truth().contact_force_n, shop.cell.truth().tcp_m[2]
+    while not session.run.moves():
+        shop.runner.tick()
+        assert shop.cell.truth().contact_force_n < pressing_n + 10.0
+        assert shop.cell.truth().tcp_m[2] > low_m - 0.005
 
 
 def starts(shop: Workshop) -> int:
