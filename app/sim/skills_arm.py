@@ -23,6 +23,7 @@ REACH_MIN_M, REACH_MAX_M = 0.42, 0.95
 LOCALISE_S, MISMATCH_M, PLACED_WITHIN_M = 0.3, 0.15, 0.06
 SLIPPED_MAX_M = 0.05
 PLACE_GAP_M, PLACE_TOUCH_N, PLACE_HIGH_M, SPOT_FREE_M, SURFACE_MARGIN_M = 0.002, 12.0, 0.02, 0.15, 0.07
+HANGS_M, LOWERINGS = 0.005, 4  # of what hangs higher than it was to stand, and how often it is led down by as much
 OPEN_HAND_M = 0.09  # half of its width, and what cameras are off by
 BESIDE_M = 0.02  # at least, between what stands and what is put beside it, or carried over it
 SEEN_FROM_M, SEEN_FROM_RAD = 0.3, 0.3  # how far off its stand an area is still seen; `area_in_view` asks for less
@@ -317,9 +318,25 @@ def _lower(body: Body, support_z_m: float, hand: Hand, limit_mps: float) -> Move
         raise SkillFailed("object_lost", f"`{hand.name}` slipped out of the grip")
     slow = contact_speed(body, limit_mps)
     yield from body.line(here._replace(z_m=floor), slow, until=lambda: body.touched(PLACE_TOUCH_N))
-    yield from body.arrived()
+    yield from down_to(body, floor, slow)
     if body.seen.tcp_m[2] > floor + PLACE_HIGH_M:  # let go of up here it would fall, or stand on what is no support
         raise SkillFailed("placement_failed", f"something stands where `{hand.name}` was to be put down")
+
+
+def down_to(body: Body, floor_z_m: float, slow_mps: float) -> Moves:
+    """Wait until the tool stands, and lead it on down where that is too high.
+
+    Servos that run ahead of what they are told touch down early, and draw back to where they were told to be once they
+    rest: what is let go of then falls.
+    """
+    yield from body.arrived()
+    for _ in range(LOWERINGS):
+        high_m = body.seen.tcp_m[2] - floor_z_m
+        if high_m < HANGS_M:
+            return
+        here = body.pose
+        yield from body.line(here._replace(z_m=here.z_m - high_m), slow_mps, until=lambda: body.touched(PLACE_TOUCH_N))
+        yield from body.arrived()
 
 
 def _set_free(body: Body) -> Moves:

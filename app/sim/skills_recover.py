@@ -17,6 +17,8 @@ from app.sim.skills_arm import (
     HOVER_M,
     LIFT_M,
     PLACE_HIGH_M,
+    contact_speed,
+    down_to,
     grasp_object,
     number,
     put_down,
@@ -211,8 +213,9 @@ def _undo(body: Body, trail: list[Mark], limit_mps: float) -> Moves:
     taken = _taken_at(trail) if body.holding else None
     if taken is not None:
         yield from _back(body, trail[taken:], limit_mps, gentle=True)
-        yield from body.arrived()
-        if body.seen.tcp_m[2] > body.senses.solver.forward(trail[taken].joints).z_m + PLACE_HIGH_M:
+        stood_m = body.senses.solver.forward(trail[taken].joints).z_m
+        yield from down_to(body, stood_m, contact_speed(body, limit_mps))
+        if body.seen.tcp_m[2] > stood_m + PLACE_HIGH_M:
             raise SkillFailed("placement_failed", "something stands where what is held was taken from")
         body.enter("put_back", 0.5)
         yield from body.open()

@@ -249,16 +249,22 @@ def test_a_hand_comes_down_slowly_onto_what_stands_beside_the_thing_it_is_to_tak
     assert cell.truth().upright[beside]
 
 
-def test_servos_that_run_behind_let_go_of_nothing_before_it_stands(site: Site) -> None:
+@pytest.mark.parametrize("gain", [0.5, 1.5])
+@pytest.mark.parametrize(
+    ("skill", "phase"), [("place_object", "release"), ("retrace", "put_back"), ("release_and_retract", "release")]
+)
+def test_servos_that_run_behind_or_ahead_let_go_of_nothing_before_it_stands(
+    site: Site, skill: str, phase: str, gain: float
+) -> None:
     cell = carrying(site)
-    cell.plant.drives.speed_gain = 0.5
+    cell.plant.drives.speed_gain = gain
     let_go_at = list[float]()
 
     def watch(_: Observation, report: SkillReport) -> None:
-        if report.phase == "release" and cell.plant.drives.grip_force_n < 0.0 and not let_go_at:
+        if report.phase == phase and cell.plant.drives.grip_force_n < 0.0 and not let_go_at:
             let_go_at.append(cell.plant.true_object("mug_1")[0][2])
 
-    spot: dict[str, Json] = {"surface": "bench_a", "x_m": SPOT[0], "y_m": SPOT[1], "speed_mps": 0.25}
-    run_skill(cell, "place_object", spot, each=watch)
+    spot: dict[str, Json] = {"surface": "bench_a", "x_m": SPOT[0], "y_m": SPOT[1]} if skill == "place_object" else {}
+    run_skill(cell, skill, {**spot, "speed_mps": 0.25}, each=watch)
     assert let_go_at[0] < 0.8 + 0.01
     assert cell.truth().upright["mug_1"]
