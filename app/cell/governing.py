@@ -108,8 +108,10 @@ class Governing:
         run, substrate = self.run, self._substrate
         period_s = substrate.period_s
         rate = run.ramp(period_s)
+        if not run.moves():
+            self._require_held()
         if rate == 0.0:  # not asked to move
-            report, command = self._last_report(), self._held()
+            report, command = self._last_report(), run.held()
         else:
             command, report = self._asked(rate)
         if run.given is not None:
@@ -148,15 +150,14 @@ class Governing:
             command = self._wait_before(report.phase)
         return command, report
 
-    def _held(self) -> Command:
-        """Return the command that keeps everything where it is, as long as that keeps it there.
+    def _require_held(self) -> None:
+        """See that an arm which is to stand slows down, and stays where it stands.
 
         Raises:
-            NotHeldError: the arm moves away, and its readings can be believed.
+            NotHeldError: it moves away, and its readings can be believed.
         """
         if self.run.strays(self.seen) and not self._doubted():
             raise NotHeldError
-        return self.run.held()
 
     def _wait_before(self, phase: str) -> Command:
         """Hold before a phase that a human has to confirm; a session that comes to rest asks once it is let go on."""

@@ -50,6 +50,7 @@ GIVES_TICKS: Final = 60
 PUSHED_NM: Final = 5.0  # as much is left unexplained by a sound run; less says nothing of who pushes whom
 RETURNS_RADPS: Final = 0.1  # 6 cm/s for a hand at 0.6 m: what it gave way to may be there still
 STRAYS_RAD: Final = 0.2  # more than a stop or `GIVES_RAD` moves a joint that is held
+GAINS_MPS: Final = 0.3  # twice what a hand gains that is braked, by servos that run ahead or by what it springs off
 LINK: Final = "link"  # why a cell holds whose link's lease has lapsed
 _AT_REST: Final = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 NOT_SAID: Final = SkillReport("", 0.0)
@@ -167,6 +168,7 @@ class Run:
     apart: Vec6 | None = None
     giving_ticks: int = 0
     stood: Vec6 | None = None  # where the arm was once it was held
+    braked_mps: float | None = None  # how fast the hand was when that began
 
     def __post_init__(self) -> None:
         """Begin with the bounds of the plan."""
@@ -245,6 +247,8 @@ class Run:
         self.grips = command.grip_force_n > 0.0 and (self.grips or seen.pads_loaded)
         if self.rate > 0.0:
             self.stood = None
+        if self.moves():
+            self.braked_mps = None
 
     def give_way(self) -> None:
         """Have the arm keep where it is instead of where it was told to be, so that its servos stop pressing.
@@ -298,9 +302,21 @@ class Run:
         self.doing, self.previous, self.apart = doing, held, None
 
     def strays(self, seen: Observation) -> bool:
-        """Say whether an arm that is held moves away all the same: its drives do not hold it, or do so again."""
-        if self.stood is None or self.giving_ticks > 0:
-            self.stood = seen.joint_rad
+        """Say whether an arm that is braked or held moves away all the same: its drives do not hold it, or do so again.
+
+        One that falls gains speed from the first tick on, long before it is far from where it stood (as the monitored
+        ramp of IEC 61800-5-2: what does not slow down as told loses its power).
+        """
+        if self.giving_ticks > 0:  # in touch with something: brakes that fall in now clamp it, by 650 N for good
+            self.stood, self.braked_mps = seen.joint_rad, None
+            return False
+        if self.braked_mps is None:
+            self.braked_mps = seen.tcp_speed_mps
+        if seen.tcp_speed_mps > self.braked_mps + GAINS_MPS:
+            return True
+        if self.rate > 0.0:
+            return False
+        self.stood = self.stood or seen.joint_rad
         return any(abs(q - stood) > STRAYS_RAD for q, stood in zip(seen.joint_rad, self.stood, strict=True))
 
     def watch_with(self, plan: WatchPlan, period_s: float) -> None:

@@ -322,3 +322,21 @@ def test_an_arm_that_falls_while_it_is_held_falls_into_its_brakes(tmp_path: Path
     assert (ended["outcome"], ended["code"]) == ("fault", "not_held")
     assert shop.runner.latched
     assert shop.cell.truth().tcp_m[2] > 0.8, "the bench is at 0.75 m"
+
+
+@pytest.mark.parametrize(("phase", "after_s"), [("localise", 0.1), ("descend", 0.3), ("lift", 1.0)])
+def test_an_arm_that_falls_from_its_drives_is_caught_before_it_falls_onto_the_bench(
+    tmp_path: Path, phase: str, after_s: float
+) -> None:
+    fade = Fault(kind="fade", at=grasping(phase, after_s=after_s), sizes={"strength": 0.05})
+    shop = Workshop(tmp_path, faults=(fade,))
+    shop.launch("grasp_object", **GRASP)
+    while shop.cell.plant.drives.strength == 1.0:
+        shop.runner.tick()
+    fell_from_m, worst_n = shop.cell.truth().tcp_m[2], 0.0
+    for _ in range(200):
+        shop.runner.tick()
+        worst_n = max(worst_n, shop.cell.truth().contact_force_n)
+    assert (shop.last("outcome")["outcome"], shop.last("outcome")["code"]) == ("fault", "not_held"), shop.story()
+    assert worst_n < 20.0
+    assert shop.cell.truth().tcp_m[2] > fell_from_m - 0.04
