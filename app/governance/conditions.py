@@ -131,6 +131,8 @@ def _object_placed(params: Params, facts: WorldFacts, site: Site) -> tuple[str, 
     seen = facts.objects.get(thing)
     if seen is None or not _on(surface, seen):
         return f"`{thing or 'the object'}` was not seen on `{name}`", "inspect the surface"
+    if not seen.upright:  # it fell over, or was never put down
+        return f"`{thing}` lies on its side", "grasp it and place it again"
     away = _beside(params, seen)
     return None if away <= PLACED_M else (f"`{thing}` stands {away:.2f} m from where it was to be", "place it again")
 

@@ -91,6 +91,13 @@ def test_an_object_beside_above_or_below_a_surface_is_not_on_it(off):
     assert unmet(("object_placed",), {"surface": "bench_b", "object_id": "mug_1"}, facts(objects=beside), SITE)
 
 
+def test_an_object_that_lies_on_its_side_was_not_placed():
+    asked, at = {"surface": "bench_b", "object_id": "mug_1"}, (BENCH.x_m, BENCH.y_m, BENCH.z_m + 0.035)
+    assert unmet(("object_placed",), asked, facts(objects={"mug_1": seen(*at)}), SITE) == ()
+    (lies,) = unmet(("object_placed",), asked, facts(objects={"mug_1": seen(*at, upright=False)}), SITE)
+    assert lies.message == "`mug_1` lies on its side"
+
+
 @pytest.mark.parametrize(("off_m", "placed"), [(0.0, True), (0.08, True), (0.12, False), (0.9, False)])
 def test_an_object_was_placed_where_that_was_asked_for(off_m: float, placed: bool):
     stands = {"mug_1": seen(BENCH.x_m - 0.45 + off_m, BENCH.y_m, BENCH.z_m + 0.05)}
