@@ -25,7 +25,8 @@ if TYPE_CHECKING:
 CAREFUL_SPEED: Final = 0.5
 """What `careful` leaves of a speed; skills drive at 0.95 of it, as they do with every limit."""
 SPEEDS: Final = frozenset({"tcp_speed_mps", "base_speed_mps"})
-SPEED_NOISE_MPS: Final = 0.01  # about five σ of a speed made from the drives' velocities
+NOISE: Final = {"tcp_speed_mps": 0.01, "base_speed_mps": 0.01, "grip_force_n": 0.5}
+"""At least five σ of what is measured: of a speed made from the drives' velocities, and of the mean of two pads."""
 
 MANIPULATION: Final = "manipulation"
 OF_A_PLAN: Final = frozenset({"stall_s", "elapsed_s", "retries"})
@@ -158,15 +159,15 @@ def _watch_rule(row: WatchRow, capability: Capability, profile: Profile, bounds:
 
 
 def _headroom(bound: float, row: WatchRow, profile: Profile) -> float:
-    """Return the threshold over a bound; for a slow session at least what the speed's own noise needs.
+    """Return the threshold over a bound; for a slow session, or a weak grip, at least what the noise of it needs.
 
-    At low speeds five percent of the bound drown in that noise. It is never more than the profile's limit allows. What
-    speaks up before the bound gets none: it would say no more than what speaks of the violation.
+    Five percent of a low bound drown in that noise. It is never more than the profile's limit allows. What speaks up
+    before the bound gets none: it would say no more than what speaks of the violation.
     """
     threshold = bound * row.times
-    if row.signal not in SPEEDS or row.limit is None or row.times < 1.0:
+    if row.signal not in NOISE or row.limit is None or row.times < 1.0:
         return threshold
-    return max(threshold, min(bound + SPEED_NOISE_MPS, profile.limits[row.limit].maximum * row.times))
+    return max(threshold, min(bound + NOISE[row.signal], profile.limits[row.limit].maximum * row.times))
 
 
 def recovery_plan(policy: PolicySet, capability: str, profile: str) -> RecoveryPlan:

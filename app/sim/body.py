@@ -50,6 +50,7 @@ CONTACT_SPEED_MPS = 0.05
 CONTACT_NEAR_M = 0.06
 GUARD_N = 25.0
 SOFT_CLOSE_N, PAD_TOUCH_N, PAD_TOUCH_TICKS = 8.0, 2.0, 3
+SOFTLY, FELT = 0.85, 0.7  # of a weak grip: pads that meet something bear a fifth more, and feel it at less
 CLOSE_TIMEOUT_S, RAMP_S, OPEN_N = 2.5, 0.2, 12.0
 OPEN_WIDTH_M = 2 * robot.FINGER_STROKE_M - 0.006
 _LINE_STEP_M, _TURN_STEP_RAD, _TURN_M_PER_RAD = 0.01, 0.05, 0.12
@@ -280,12 +281,13 @@ class Body:
         Raises:
             SkillFailed: `grasp_failed`, the pads met nothing.
         """
-        soft = min(SOFT_CLOSE_N, force_n)
+        soft = min(SOFT_CLOSE_N, SOFTLY * force_n)
+        felt_n = min(PAD_TOUCH_N, FELT * soft)
         self.grip_n, passed, touching = soft, 0.0, 0
         while touching < PAD_TOUCH_TICKS:
             yield self.hold()
             passed += self.rate * CONTROL_PERIOD_S
-            touching = touching + 1 if self.seen.grip_force_n > PAD_TOUCH_N and self.holding else 0
+            touching = touching + 1 if self.seen.grip_force_n > felt_n and self.holding else 0
             if passed > CLOSE_TIMEOUT_S or (self.seen.grip_width_m < 0.004 and passed > 0.3):
                 raise SkillFailed("grasp_failed", "the fingers closed on nothing")
         taken()

@@ -42,6 +42,23 @@ def test_a_nominal_grasp_is_quiet(tmp_path: Path) -> None:
     assert shop.cell.truth().held == "mug_1"
 
 
+@pytest.mark.parametrize("force_n", [3.0, 5.0, 8.0])
+def test_a_weak_grip_is_no_violation_of_itself(tmp_path: Path, force_n: float) -> None:
+    shop = Workshop(tmp_path)
+    shop.launch("grasp_object", **{**GRASP, "force_n": force_n})
+    assert shop.finish()["outcome"] == "succeeded", shop.story()
+    assert shop.rules() == []
+    assert shop.cell.truth().held == "mug_1"
+
+
+def test_what_a_grip_is_too_weak_for_slips_and_is_told_so(tmp_path: Path) -> None:
+    shop = Workshop(tmp_path)
+    shop.launch("grasp_object", **{**GRASP, "force_n": 2.0})  # it bears as much as the mug weighs
+    shop.until("escalated")
+    assert set(shop.rules()) <= {"slip", "grip-lost"}
+    assert shop.last("escalation")["reason"] == "object_lost"
+
+
 @pytest.mark.parametrize("word", ["stop", "cancel"])
 def test_what_is_between_the_pads_is_known_whatever_ends_the_grasp(tmp_path: Path, word: str) -> None:
     shop = Workshop(tmp_path)

@@ -112,6 +112,12 @@ def test_a_slow_session_has_headroom_for_the_noise_of_its_speed_and_never_more_t
     assert next(rule for rule in plan.rules if rule.id == "tcp-speed").threshold == pytest.approx(threshold)
 
 
+@pytest.mark.parametrize(("force_n", "threshold"), [(2.0, 2.5), (8.0, 8.5), (20.0, 21.0), (59.9, 62.895), (60.0, 63.0)])
+def test_a_weak_grip_has_headroom_for_the_noise_of_its_pads(force_n, threshold):
+    plan = watch_plan(shipped(), "grasp_object", "human-shared", {"object_id": "mug_1", "force_n": force_n})
+    assert next(rule for rule in plan.rules if rule.id == "grip-force").threshold == pytest.approx(threshold)
+
+
 @pytest.mark.parametrize("speed_mps", [0.05, 0.1, 0.2])
 def test_what_speaks_up_before_a_speed_limit_does_so_in_a_slow_session_too(speed_mps):
     name = "profiles/human-shared.yaml"
