@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Generator, Mapping
-from math import hypot, isnan, pi
+from math import cos, hypot, isnan, pi, sin
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -17,6 +17,7 @@ from app.sim.perception import Glimpse
 
 if TYPE_CHECKING:
     from app.governance.model import Command, Json, Point, SiteObject, Surface
+    from app.sim.perception import Seen
 
 HOVER_M, LIFT_M, GRIP_DEPTH_M = 0.10, 0.12, 0.06
 REACH_MIN_M, REACH_MAX_M = 0.42, 0.95
@@ -25,6 +26,7 @@ SLIPPED_MAX_M = 0.05
 PLACE_GAP_M, PLACE_TOUCH_N, PLACE_HIGH_M, SPOT_FREE_M, SURFACE_MARGIN_M = 0.002, 12.0, 0.02, 0.15, 0.07
 HANGS_M, LOWERINGS = 0.005, 4  # of what hangs higher than it was to stand, and how often it is led down by as much
 OPEN_HAND_M = 0.09  # half of its width, and what cameras are off by
+FINGER_M = 0.02  # half of its depth, and what cameras are off by
 BESIDE_M = 0.02  # at least, between what stands and what is put beside it, or carried over it
 SEEN_FROM_M, SEEN_FROM_RAD = 0.3, 0.3  # how far off its stand an area is still seen; `area_in_view` asks for less
 TRAVEL_SPEED_MPS = 0.20  # of the arm, where a skill's own speed is the base's
@@ -357,14 +359,34 @@ def contact_speed(body: Body, limit_mps: float) -> float:
 
 
 def _standing_at(body: Body, held: str, spot: Point) -> str | None:
-    """Return what is remembered to stand where the object in the hand is to stand, if anything is."""
-    things = body.senses.site.objects
+    """Return what is remembered to stand where the object in the hand is to stand, or where the hand has to open."""
+    senses = body.senses
+    things = senses.site.objects
     half_m = min(things[held].size_m[:2]) + BESIDE_M
-    for name, seen in body.senses.perception.memory.items():
-        apart_m = hypot(seen.x_m - spot[0], seen.y_m - spot[1])
-        if name != held and apart_m < half_m + min(things[name].size_m[:2]):
+    across = senses.believed_pose()[2] + body.pose.yaw_rad + pi / 2  # fingers open to both sides
+    fingers = _reaching(spot, OPEN_HAND_M - FINGER_M, across)
+    for name, seen in senses.perception.memory.items():
+        if name == held:
+            continue
+        lies, thick_m = _footprint(things[name], seen)
+        hand_m = min(*(near_segment(end, *lies) for end in fingers), *(near_segment(end, *fingers) for end in lies))
+        if near_segment(spot, *lies) < half_m + thick_m or hand_m < FINGER_M + thick_m:
             return name
     return None
+
+
+def _footprint(thing: SiteObject, seen: Seen) -> tuple[tuple[Point, Point], float]:
+    """Return the line that an object's outline lies around, and how far around it."""
+    rx, ry, rz = thing.size_m
+    if not seen.upright:
+        rx, ry = rz, min(rx, ry)  # the heading of what lies is that of its long axis
+    thick_m = min(rx, ry)
+    return _reaching((seen.x_m, seen.y_m), max(rx, ry) - thick_m, seen.yaw_rad + (0.0 if rx >= ry else pi / 2)), thick_m
+
+
+def _reaching(middle: Point, half_m: float, heading_rad: float) -> tuple[Point, Point]:
+    dx, dy = half_m * cos(heading_rad), half_m * sin(heading_rad)
+    return (middle[0] - dx, middle[1] - dy), (middle[0] + dx, middle[1] + dy)
 
 
 def free_spot(body: Body, surface: Surface) -> Point | None:
@@ -377,8 +399,10 @@ def free_spot(body: Body, surface: Surface) -> Point | None:
     ]
     for x, y in _SPOTS:
         at = to_world(senses.believed_pose(), x, y)
-        if on_surface(surface, *at, margin_m=SURFACE_MARGIN_M) and all(
-            hypot(at[0] - ox, at[1] - oy) > SPOT_FREE_M for ox, oy in others
+        if (
+            on_surface(surface, *at, margin_m=SURFACE_MARGIN_M)
+            and all(hypot(at[0] - ox, at[1] - oy) > SPOT_FREE_M for ox, oy in others)
+            and (senses.hand is None or _standing_at(body, senses.hand.name, at) is None)
         ):
             return at
     return None

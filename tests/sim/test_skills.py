@@ -195,6 +195,19 @@ def carrying(site: Site) -> Workcell:
 SPOT = (1.6, 5.32)
 
 
+@pytest.mark.parametrize(("off", "fits"), [((-0.10, 0.0), False), ((-0.13, 0.0), True), ((0.0, -0.105), True)])
+def test_nothing_is_put_so_near_a_thing_that_the_hand_opens_into_it(
+    site: Site, off: tuple[float, float], fits: bool
+) -> None:
+    # At this bench the fingers open along x.
+    cell = carrying(site)
+    glass = cell.truth().objects["glass_1"]
+    place = {"surface": "bench_a", "x_m": glass[0] + off[0], "y_m": glass[1] + off[1], "speed_mps": 0.25}
+    ran = run_skill(cell, "place_object", place)
+    assert (ran.done, ran.failure) == (fits, "" if fits else "placement_failed"), ran
+    assert dist(cell.truth().objects["glass_1"], glass) < 0.001
+
+
 def test_what_is_put_onto_a_thing_that_nobody_saw_there_is_kept_hold_of(site: Site) -> None:
     cell = carrying(site)
 
