@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
 RECOVERY_BASE_SPEED_MPS, RECOVERY_TCP_SPEED_MPS = 0.20, 0.12
 RETREAT_M, REDOCK_WITHIN_M = 0.30, 0.6
+AT_TOOL_M = 0.1  # a handle's swing is 2 cm of it
 _LOOKS = 20  # along the way back
 
 
@@ -36,7 +37,10 @@ def transport_object(body: Body, params: Mapping[str, Json]) -> Moves:
 
 
 def safe_retreat(body: Body, params: Mapping[str, Json]) -> Moves:
-    """Draw the arm in and back straight off; the speed is the base's, and the arm is no faster either."""
+    """Draw the arm in and back straight off; the speed is the base's, and the arm is no faster either.
+
+    What is held is taken along, and a tool's handle let go of: it stands fast, and would hold the arm.
+    """
     distance = number(params, "distance_m", RETREAT_M)
     x, y, yaw = body.senses.believed_pose()
     floor = FloorMap(body.senses.site, body.senses.perception.crates, 0.0, (x, y))
@@ -45,9 +49,26 @@ def safe_retreat(body: Body, params: Mapping[str, Json]) -> Moves:
     if not free[-1] or False in free[free.index(True) :]:  # it may begin beside a bench, but not come up to anything
         raise SubstrateError("no_path", f"no room for {distance:.2f} m behind the base")
     goal = (x - distance * cos(yaw), y - distance * sin(yaw), yaw)
-    body.carrying = body.holding
+    grips_tool = _grips_tool(body)
+    body.carrying = body.holding and not grips_tool
     speed = number(params, "speed_mps", RECOVERY_BASE_SPEED_MPS)
-    return _go(body, goal, [(x, y), goal[:2]], speed, min(speed, RECOVERY_TCP_SPEED_MPS))
+    moves = _go(body, goal, [(x, y), goal[:2]], speed, min(speed, RECOVERY_TCP_SPEED_MPS))
+    return _off_the_tool(body, moves) if grips_tool else moves
+
+
+def _grips_tool(body: Body) -> bool:
+    senses = body.senses
+    if senses.hand is not None or not body.holding:
+        return False
+    x, y = to_world(senses.believed_pose(), body.pose.x_m, body.pose.y_m)
+    return any(hypot(tool.x_m - x, tool.y_m - y) < AT_TOOL_M for tool in senses.site.tools.values())
+
+
+def _off_the_tool(body: Body, then: Moves) -> Moves:
+    body.enter("retract", 0.0)
+    yield from body.open()
+    body.senses.tare()
+    yield from then
 
 
 def reposition_base(body: Body, params: Mapping[str, Json]) -> Moves:

@@ -281,3 +281,25 @@ def test_servos_that_run_behind_or_ahead_let_go_of_nothing_before_it_stands(
     run_skill(cell, skill, {**spot, "speed_mps": 0.25}, each=watch)
     assert let_go_at[0] < 0.8 + 0.01
     assert cell.truth().upright["mug_1"]
+
+
+class Interrupted(Exception):
+    """Ends a run where a test wants it to end."""
+
+
+def test_a_hand_that_retreats_from_a_tool_lets_go_of_its_handle_first(site: Site) -> None:
+    cell = make_workcell(site, cell_id="handle", seed=FIRST)
+    assert run_skill(cell, "navigate_to", {"target": "tool_stand", "speed_mps": 0.6, "clearance_m": 0.2}).done
+
+    def interrupt(_: Observation, report: SkillReport) -> None:
+        if report.phase == "operate" and report.progress >= 0.5:
+            raise Interrupted
+
+    pull = {"tool": "lever", "action": "pull_down", "force_n": 40.0, "speed_mps": 0.25}
+    with pytest.raises(Interrupted):
+        run_skill(cell, "operate_tool", pull, each=interrupt)
+    stood = cell.plant.tool_angle("lever")
+    ran = run_skill(cell, "safe_retreat", {"speed_mps": 0.15})
+    assert ran.done, ran.detail
+    assert ran.contact_force_n < 15.0
+    assert abs(cell.plant.tool_angle("lever") - stood) < 0.02
