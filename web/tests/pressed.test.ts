@@ -5,6 +5,7 @@ describe('a stop', () => {
   let pressed: number;
   const stop = atOnce(() => (pressed += 1));
   const down = (timeStamp: number): void => stop.onpointerdown({ timeStamp } as PointerEvent);
+  const up = (timeStamp: number): void => stop.onpointerup({ timeStamp } as PointerEvent);
   const click = (timeStamp: number, detail = 1): void => stop.onclick({ timeStamp, detail } as MouseEvent);
 
   beforeEach(() => {
@@ -18,6 +19,15 @@ describe('a stop', () => {
     expect(pressed).toBe(1);
     down(5_200);
     click(5_300);
+    expect(pressed).toBe(2);
+  });
+
+  it('is pressed once by a finger that stays on it, however long', () => {
+    down(5_000);
+    up(7_500);
+    click(7_501);
+    expect(pressed).toBe(1);
+    click(9_000);
     expect(pressed).toBe(2);
   });
 
