@@ -21,6 +21,7 @@ from tests.console.conftest import (
     far,
     on_top,
     out_of_reach,
+    resize,
     stop,
 )
 
@@ -31,6 +32,21 @@ RING_PX = 4  # around what has the focus
 def says(person: Person) -> Locator:
     """What the robot says of itself, in the phone's header."""
     return person.page.locator("header .says")
+
+
+def test_the_stop_stands_above_the_keyboard_of_the_phone(server: ServerProcess, people: People) -> None:
+    person = people.sit(server, size=PHONE)
+    # Here no keyboard comes: a browser that heeds this gives the page what the keyboard leaves of the screen.
+    asked = person.page.locator("meta[name=viewport]").get_attribute("content")
+    assert asked is not None
+    assert "interactive-widget=resizes-content" in asked
+    person.page.evaluate("location.hash = '#/audit'")
+    search = person.page.get_by_role("searchbox", name="Search the record")
+    search.tap()
+    for left in ({"width": 390, "height": 520}, {"width": 390, "height": 400}):
+        resize(person, left)
+        expect(search).to_be_focused()
+        assert out_of_reach(stop(person)) == [], left
 
 
 @pytest.mark.drawn
