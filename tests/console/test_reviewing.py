@@ -220,6 +220,28 @@ def told(server: ServerProcess, session: str) -> list[dict[str, Any]]:
     return server.get(f"/v1/audit/events?invocation={session}&kind=telemetry")["items"]
 
 
+def test_a_note_that_the_record_does_not_take_whole_is_kept_back_and_not_cut_short(
+    server: ServerProcess, people: People, stopped: dict[str, Any]
+) -> None:
+    person = people.sit(server, size=PHONE)
+    queue(person).get_by_role("button", name=re.compile("Drive to")).tap()
+    form = queue(person).get_by_role("form")
+    form.get_by_role("radio", name=re.compile("Objected")).check()
+    note, record = form.get_by_role("textbox"), form.get_by_role("button", name="Record the verdict")
+    note.tap()
+    person.page.keyboard.insert_text(f"{'What came before it. ' * 200}The person was seen too late.")
+    expect(note).to_have_value(re.compile("The person was seen too late.$"))
+    expect(record).to_be_disabled()
+    expect(record).to_have_accessible_description(
+        re.compile(r"^The note is \d+ letters longer than the record takes\.$")
+    )
+    said = f"{'What came before it. ' * 190}The person was seen too late."
+    note.fill(said)
+    record.tap()
+    expect(queue(person).get_by_role("status")).to_have_text("Recorded: objected.")
+    assert kept(server, stopped)["verdict"]["note"] == said
+
+
 def test_of_two_reviewers_one_wins_and_the_other_is_told(
     server: ServerProcess, people: People, stopped: dict[str, Any]
 ) -> None:

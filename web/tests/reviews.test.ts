@@ -4,7 +4,7 @@ import type { Invocation, Review, ReviewVerdict } from '../src/lib/api/documents
 import { eventLine } from '../src/lib/format/events';
 import { Reviewing, type Draft } from '../src/lib/live/reviewing.svelte';
 import { reviewOf } from '../src/lib/audit/reviewed';
-import { dueWords, judgedOf, shownWords, waitingOf } from '../src/lib/live/reviews';
+import { dueWords, judgedOf, shownWords, tooLong, waitingOf } from '../src/lib/live/reviews';
 import { Titles } from '../src/lib/live/titles.svelte';
 import { event, invocation } from './samples';
 
@@ -21,6 +21,14 @@ function judged(verdict: ReviewVerdict, of: Partial<Review> = {}, at = '', note:
 }
 
 const known = (...all: Review[]): Record<string, Review> => Object.fromEntries(all.map((one) => [one.id, one]));
+
+describe('a note on a session', () => {
+  it('is told to be too long by what goes beyond what the server takes of it', () => {
+    expect(tooLong(` ${'x'.repeat(4096)} `)).toBe('');
+    expect(tooLong('x'.repeat(4097))).toBe('The note is 1 letter longer than the record takes.');
+    expect(tooLong('x'.repeat(5000))).toBe('The note is 904 letters longer than the record takes.');
+  });
+});
 
 describe('the queue of reviews', () => {
   it('begins with the higher risk, then with what has waited longest', () => {

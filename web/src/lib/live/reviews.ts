@@ -28,6 +28,15 @@ export function shownWords(shown: number, all: number): string {
   return shown < all ? `${shown} of ${all} shown; the rest follow as these are judged.` : '';
 }
 
+/** How many letters the server takes of a note. */
+const NOTE_LENGTH = 4096;
+
+/** What to say of a note that cannot be recorded whole; empty where it can. Nothing of it is cut off unsaid. */
+export function tooLong(note: string): string {
+  const over = note.trim().length - NOTE_LENGTH;
+  return over > 0 ? `The note is ${over} ${over === 1 ? 'letter' : 'letters'} longer than the record takes.` : '';
+}
+
 function gravity({ risk }: Review): number {
   return entryOf(RISKS, risk) ?? -1;
 }
