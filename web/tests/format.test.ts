@@ -6,7 +6,7 @@ import type { Cell, Control } from '../src/lib/api/documents';
 import { pausedWords } from '../src/lib/live/control';
 import { robotSays, whoWords } from '../src/lib/format/status';
 import { quoted, sentence } from '../src/lib/format/quoted';
-import { countdown, elapsed, left } from '../src/lib/format/time';
+import { clockTime, countdown, dayOf, elapsed, fullTime, left, timeSeenOn } from '../src/lib/format/time';
 import { DECIDING_KEYS, DRIVING_KEYS } from '../src/lib/jog/bindings';
 import { isStop, isTyping, Keys, takesLetters } from '../src/lib/keys/keys';
 import { dashes } from '../src/lib/scene/overlay';
@@ -30,6 +30,13 @@ describe('times', () => {
 
   it('count up in whole seconds that are over', () => {
     expect([elapsed(46_900), elapsed(-3)]).toEqual(['0:46', '0:00']);
+  });
+
+  it('of another day are told with that day', () => {
+    const [noon, night, other] = [new Date(2026, 10, 22, 12), new Date(2026, 10, 22, 23, 59, 59), new Date(2026, 10, 23)].map(Number);
+    expect(timeSeenOn(dayOf(night ?? 0), noon ?? 0)).toBe(clockTime(noon ?? 0));
+    expect(timeSeenOn(dayOf(other ?? 0), night ?? 0)).toBe(fullTime(night ?? 0));
+    expect(timeSeenOn(dayOf(noon ?? 0), 'never')).toBe('–');
   });
 
   it('are said in minutes or seconds', () => {

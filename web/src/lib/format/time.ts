@@ -14,6 +14,16 @@ export function fullTime(at: string | number): string {
   return Number.isNaN(date.getTime()) ? '–' : `${DAY.format(date)}, ${CLOCK.format(date)}`;
 }
 
+/** Which day it is in the operator's zone. */
+export function dayOf(at: string | number): string {
+  return DAY.format(new Date(at));
+}
+
+/** When something was, for who looks at it on that day: `10:41:37`, and of another day `22 Nov 2026, 10:41:37`. */
+export function timeSeenOn(day: string, at: string | number): string {
+  return Number.isNaN(new Date(at).getTime()) || dayOf(at) === day ? clockTime(at) : fullTime(at);
+}
+
 /** `1:24`, never below `0:00`; a deadline counts whole seconds that are still left. */
 export function countdown(leftMs: number): string {
   const seconds = Math.max(0, Math.ceil(leftMs / 1000));
