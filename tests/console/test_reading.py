@@ -197,6 +197,48 @@ def test_what_happened_is_searched_by_words_from_the_newest_on_and_how_far_that_
     expect(person.button("Search further")).to_have_count(0)
 
 
+@pytest.mark.drawn
+def test_a_finger_that_scrolls_a_trace_may_start_on_a_plot_and_one_that_goes_along_it_scrubs(
+    server: ServerProcess, people: People, floor: Floor
+) -> None:
+    drive = floor.drive_off()
+    server.await_status(drive["id"], "completed", "failed")
+    person = people.sit(server, size=PHONE)
+    person.page.evaluate(f"location.hash = '#/audit/{drive['id']}'")
+    plot, moment = person.page.locator(".plot").last, person.page.get_by_role("slider", name="Moment of the session")
+    plot.scroll_into_view_if_needed()
+    at, down = box(plot), "document.querySelector('main').scrollTop"
+    x, y = at["x"] + at["width"] / 2, at["y"] + at["height"] / 2
+    began, before = person.page.evaluate(down), moment.input_value()
+    slide(person, (x, y), (x, y - 200))
+    until(
+        lambda: person.page.evaluate(down) > began + 100 or person.page.wait_for_timeout(20), what="a page that moves"
+    )
+    assert moment.input_value() == before
+
+    plot.scroll_into_view_if_needed()
+    at = box(plot)
+    y, began = at["y"] + at["height"] / 2, person.page.evaluate(down)
+    slide(person, (at["x"] + 10, y), (at["x"] + 0.8 * at["width"], y + 5))
+    longest = float(moment.get_attribute("max") or 0)
+    assert float(moment.input_value()) == pytest.approx(0.8 * longest, rel=0.03)
+    assert person.page.evaluate(down) == began
+    person.page.touchscreen.tap(at["x"] + 0.4 * at["width"], y)
+    assert float(moment.input_value()) == pytest.approx(0.4 * longest, rel=0.03)
+
+
+def slide(person: Person, start: tuple[float, float], end: tuple[float, float], steps: int = 12) -> None:
+    """Put a finger down, draw it along, and lift it."""
+    finger = person.page.context.new_cdp_session(person.page)
+    for step in range(steps + 1):
+        x, y = (a + (b - a) * step / steps for a, b in zip(start, end, strict=True))
+        kind = "touchMove" if step else "touchStart"
+        finger.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": [{"x": x, "y": y}]})
+        person.page.wait_for_timeout(16)
+    finger.send("Input.dispatchTouchEvent", {"type": "touchEnd", "touchPoints": []})
+    finger.detach()
+
+
 def checked_anew(person: Person) -> bool:
     """Look away and back, at which the log is checked; say whether nothing came meanwhile."""
     person.press("1")
