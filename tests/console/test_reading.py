@@ -197,6 +197,33 @@ def test_what_happened_is_searched_by_words_from_the_newest_on_and_how_far_that_
     expect(person.button("Search further")).to_have_count(0)
 
 
+def test_a_filter_that_is_not_filled_in_properly_holds_no_search_back_without_a_word(
+    server: ServerProcess, people: People
+) -> None:
+    person = people.sit(server)
+    person.press("2")
+    find, search = person.region("Find"), person.page.get_by_role("searchbox", name="Search the record")
+    person.button("Events").click()
+    since, until_ = (find.get_by_label(name, exact=True) for name in ("From", "Until"))
+    find.get_by_text("Filter", exact=True).click()
+    since.focus()
+    person.page.keyboard.type("11")  # and no more of a date
+    find.get_by_text("Filter", exact=True).click()
+    expect(since).to_be_hidden()
+    search.fill("nobody wrote this")
+    search.press("Enter")
+    expect(since).to_be_focused()
+    since.fill("")
+    since.press("Enter")
+    expect(find.get_by_role("status")).to_contain_text("Nothing found")
+
+    since.fill("2026-11-28T10:00:00")
+    until_.fill("2026-11-28T09:00:00")
+    assert until_.evaluate("(field) => field.validity.rangeUnderflow")  # nothing was before it began
+    until_.fill("102026-11-28T09:00:00")
+    assert until_.evaluate("(field) => field.validity.rangeOverflow")
+
+
 @pytest.mark.drawn
 def test_a_finger_that_scrolls_a_trace_may_start_on_a_plot_and_one_that_goes_along_it_scrubs(
     server: ServerProcess, people: People, floor: Floor
