@@ -49,6 +49,37 @@ def test_the_stop_stands_above_the_keyboard_of_the_phone(server: ServerProcess, 
         assert out_of_reach(stop(person)) == [], left
 
 
+@pytest.mark.parametrize("screen", [PHONE, SIDEWAYS], ids=["upright", "sideways"])
+def test_a_page_that_fingers_magnify_leaves_the_stop_where_and_as_large_as_it_was(
+    server: ServerProcess, people: People, floor: Floor, screen: dict[str, int]
+) -> None:
+    person = people.sit(server, size=screen)
+    before, fingers = box(stop(person)), person.page.context.new_cdp_session(person.page)
+    for apart in range(40, 200, 20):
+        points = [{"x": 60, "y": 100}, {"x": 60 + apart, "y": 100}]
+        kind = "touchStart" if apart == 40 else "touchMove"  # where the fingers come down
+        fingers.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": points})
+        person.page.evaluate(THREE_FRAMES)
+    fingers.send("Input.dispatchTouchEvent", {"type": "touchEnd", "touchPoints": []})
+    scale = person.page.evaluate("visualViewport.scale")
+    assert scale > 1.5
+    try:
+        stands = {name: scale * value for name, value in box(stop(person)).items()}  # of what is seen now
+        assert stands == pytest.approx(before, abs=3)
+        assert on_top(stop(person))
+        floor.ask()  # whose answers stand in the same bar
+        expect(person.button("Deny")).to_be_visible()
+        stands = {name: scale * value for name, value in box(stop(person)).items()}
+        assert stands == pytest.approx(before, abs=3)
+        at = box(stop(person))
+        person.page.touchscreen.tap(at["x"] + at["width"] / 2, at["y"] + at["height"] / 2)
+        until(lambda: server.cell()["latched"], what="the stop")
+    finally:
+        fingers.send("Emulation.setPageScaleFactor", {"pageScaleFactor": 1})
+        fingers.detach()
+    until(lambda: box(stop(person)) == before or person.page.wait_for_timeout(20), what="a bar that stands as before")
+
+
 @pytest.mark.drawn
 def test_a_session_is_paused_resumed_and_rolled_back_by_touch(
     server: ServerProcess, people: People, floor: Floor

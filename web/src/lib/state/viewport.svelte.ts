@@ -12,3 +12,24 @@ class Viewport {
 }
 
 export const viewport = new Viewport();
+
+/**
+ * Keeps what stands at the lower edge of the screen there, and no larger, where fingers magnify the page, or a keyboard
+ * lies over it: the stop would be out of sight. It goes by its lower right corner, which stays whatever comes into it.
+ */
+export function keptInSight(bar: HTMLElement): (() => void) | undefined {
+  const seen = window.visualViewport;
+  if (seen === null) return undefined;
+  const gone = new AbortController();
+  const stand = (): void => {
+    const { offsetLeft, offsetTop, offsetWidth, offsetHeight } = bar; // where it would stand
+    const right = offsetLeft + offsetWidth;
+    const aside = seen.pageLeft + seen.width - right - (document.documentElement.clientWidth - right) / seen.scale;
+    const below = seen.pageTop + seen.height - offsetTop - offsetHeight;
+    bar.style.transform = seen.scale === 1 && below > -1 ? '' : `translate(${aside}px, ${below}px) scale(${1 / seen.scale})`;
+  };
+  seen.addEventListener('resize', stand, { signal: gone.signal });
+  seen.addEventListener('scroll', stand, { signal: gone.signal });
+  stand();
+  return () => gone.abort();
+}
