@@ -435,6 +435,18 @@ def resize(person: Person, size: dict[str, int]) -> None:
     person.page.evaluate(THREE_FRAMES)
 
 
+def slide(person: Person, start: tuple[float, float], end: tuple[float, float], steps: int = 12) -> None:
+    """Put a finger down, draw it along, and lift it."""
+    finger = person.page.context.new_cdp_session(person.page)
+    for step in range(steps + 1):
+        x, y = (a + (b - a) * step / steps for a, b in zip(start, end, strict=True))
+        kind = "touchMove" if step else "touchStart"
+        finger.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": [{"x": x, "y": y}]})
+        person.page.wait_for_timeout(16)
+    finger.send("Input.dispatchTouchEvent", {"type": "touchEnd", "touchPoints": []})
+    finger.detach()
+
+
 def wider_than_the_screen(page: Page) -> list[str]:
     """Say where a page has to be scrolled sideways: on a phone, however it is held, and on 320 px (WCAG 1.4.10)."""
     before = page.viewport_size

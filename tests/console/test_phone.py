@@ -22,6 +22,7 @@ from tests.console.conftest import (
     on_top,
     out_of_reach,
     resize,
+    slide,
     stop,
 )
 
@@ -78,6 +79,18 @@ def test_a_page_that_fingers_magnify_leaves_the_stop_where_and_as_large_as_it_wa
         fingers.send("Emulation.setPageScaleFactor", {"pageScaleFactor": 1})
         fingers.detach()
     until(lambda: box(stop(person)) == before or person.page.wait_for_timeout(20), what="a bar that stands as before")
+
+
+def test_a_pause_counts_though_the_thumb_slides_off_it(server: ServerProcess, people: People, floor: Floor) -> None:
+    person = people.sit(server, size=PHONE)
+    drive = floor.drive_off()
+    until(lambda: floor.speed() > 0.05, what="a base that moves")
+    at = box(person.button("Pause"))
+    x, y = at["x"] + at["width"] / 2, at["y"] + at["height"] / 2
+    slide(person, (x, y), (x, y - 150))
+    server.await_status(drive["id"], "paused")
+    words = server.get(f"/v1/audit/events?invocation={drive['id']}&kind=human")["items"]
+    assert [event["body"]["op"] for event in words if event["actor"] == "operator"] == ["pause"]
 
 
 @pytest.mark.drawn

@@ -21,6 +21,7 @@ from tests.console.conftest import (
     box,
     on_top,
     resize,
+    slide,
     wider_than_the_screen,
 )
 
@@ -252,18 +253,6 @@ def test_a_finger_that_scrolls_a_trace_may_start_on_a_plot_and_one_that_goes_alo
     assert person.page.evaluate(down) == began
     person.page.touchscreen.tap(at["x"] + 0.4 * at["width"], y)
     assert float(moment.input_value()) == pytest.approx(0.4 * longest, rel=0.03)
-
-
-def slide(person: Person, start: tuple[float, float], end: tuple[float, float], steps: int = 12) -> None:
-    """Put a finger down, draw it along, and lift it."""
-    finger = person.page.context.new_cdp_session(person.page)
-    for step in range(steps + 1):
-        x, y = (a + (b - a) * step / steps for a, b in zip(start, end, strict=True))
-        kind = "touchMove" if step else "touchStart"
-        finger.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": [{"x": x, "y": y}]})
-        person.page.wait_for_timeout(16)
-    finger.send("Input.dispatchTouchEvent", {"type": "touchEnd", "touchPoints": []})
-    finger.detach()
 
 
 def checked_anew(person: Person) -> bool:

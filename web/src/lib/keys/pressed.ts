@@ -8,8 +8,8 @@ interface Handlers {
 }
 
 /**
- * How a stop is pressed: at once when a finger comes down, which it does not wait for to come up; by a key; and by what
- * presses without a finger. One press is one stop, however it is heard.
+ * How what restrains, a stop or a pause, is pressed: at once when a finger comes down, which it does not wait for to come up; by a key; and by what
+ * presses without a finger. One press is one word, however it is heard.
  */
 export function atOnce(press: () => void): Handlers {
   let fingerMs = -Infinity;
@@ -18,7 +18,7 @@ export function atOnce(press: () => void): Handlers {
       fingerMs = timeStamp;
       press();
     },
-    // Whoever means a stop may lean on it for seconds.
+    // Whoever means it may lean on it for seconds.
     onpointerup({ timeStamp }) {
       fingerMs = timeStamp;
     },
