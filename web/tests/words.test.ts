@@ -51,7 +51,8 @@ describe('what was found, in words', () => {
     foundWords({ what: 'events', count: 0, more: false, looked: { count: 1, at }, searched: false, filtered: false, newestFirst: true, ...of });
 
   it.each<[Partial<Told>, string]>([
-    [{ looked: NOTHING_LOOKED_AT }, 'Nothing is recorded yet.'],
+    [{ looked: NOTHING_LOOKED_AT }, 'No events are recorded yet.'],
+    [{ looked: NOTHING_LOOKED_AT, what: 'sessions' }, 'No sessions are recorded yet.'],
     [{ looked: NOTHING_LOOKED_AT, filtered: true }, 'Nothing found.'],
     [{}, 'Nothing found'],
     [{ count: 1 }, '1 event'],

@@ -19,7 +19,7 @@ export interface Told {
 
 /** How many were found, in words; where words were searched for, also how far that has come. */
 export function foundWords(told: Told): string {
-  if (told.count === 0 && told.looked.count === 0) return told.filtered || told.searched ? 'Nothing found.' : 'Nothing is recorded yet.';
+  if (told.count === 0 && told.looked.count === 0) return told.filtered || told.searched ? 'Nothing found.' : `No ${told.what} are recorded yet.`;
   const found = foundSo(told);
   return told.searched ? `${found}${told.more ? ' so far' : ''}. ${howFar(told)}` : found;
 }
