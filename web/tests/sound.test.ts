@@ -10,7 +10,9 @@ class FakeAudio {
   constructor() {
     FakeAudio.made.push(this);
   }
+  asked = 0;
   resume(): Promise<void> {
+    this.asked += 1;
     return Promise.reject(new Error('not allowed'));
   }
   createGain(): unknown {
@@ -51,6 +53,17 @@ describe('the sound of a new question', () => {
     if (audio !== undefined) audio.state = 'running';
     playTones(ASKS);
     expect([audio?.began, FakeAudio.made.length]).toEqual([2, 1]);
+  });
+
+  it('is asked for again by the next gesture, whatever silenced it', async () => {
+    const { wakeSound } = await sound(true);
+    wakeSound();
+    const [audio] = FakeAudio.made;
+    for (const state of ['suspended', 'interrupted', 'running']) {
+      if (audio !== undefined) audio.state = state; // `interrupted`: Safari, by a call or while another app is in front
+      wakeSound();
+    }
+    expect(audio?.asked).toBe(3);
   });
 
   it('is not called on before the browser lets the page sound, and the press that lets it switches nothing off', async () => {

@@ -28,8 +28,9 @@ export function wakeSound(): void {
   const gestures = (navigator as { userActivation?: { hasBeenActive: boolean } }).userActivation;
   if (gestures?.hasBeenActive === false) return;
   context ??= begun();
-  // A browser that still refuses is asked again with the next gesture; what is said is on screen and read aloud anyway.
-  if (context.state === 'suspended') context.resume().catch(() => undefined);
+  // A browser that still refuses is asked again with the next gesture, as is Safari, which a call or another app interrupts;
+  // what is said is on screen and read aloud anyway.
+  if (context.state !== 'running') context.resume().catch(() => undefined);
 }
 
 function begun(): AudioContext {
