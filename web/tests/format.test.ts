@@ -1,4 +1,4 @@
-import { describe, expect, it } from 'vitest';
+import { describe, expect, it, vi } from 'vitest';
 import { heldIn, titleOf } from '../src/lib/format/capability';
 import { entriesOf, eventLine } from '../src/lib/format/events';
 import { figuresOf, labelOf, unitOf, valueOf } from '../src/lib/format/quantity';
@@ -108,6 +108,19 @@ describe('the keyboard', () => {
     const composing = { code: 'Period', ctrlKey: true };
     expect([isStop(key('Process', composing), true), isStop(key('Process', { ...composing, ctrlKey: false }), true)]).toEqual([true, false]);
     expect(isStop(key('Process', { ...composing, code: 'Comma' }), true)).toBe(false);
+  });
+
+  it('leaves none to a search that a browser opens by one, and that would have the next, the stop among them', () => {
+    const keys = new Keys();
+    let heard: (event: unknown) => void = () => undefined;
+    keys.attach({ addEventListener: (_: string, listen: typeof heard) => (heard = listen) } as unknown as Window);
+    const left = (name: string, tagName = 'BODY', more = {}): boolean => {
+      const event = { ...key(name, more), target: { tagName }, preventDefault: vi.fn(), stopPropagation: vi.fn() };
+      heard(event);
+      return event.preventDefault.mock.calls.length === 0;
+    };
+    expect([left('/'), left("'"), left('/', 'BUTTON')]).toEqual([false, false, false]); // Firefox opens its quick find
+    expect([left('/', 'INPUT'), left("'", 'TEXTAREA'), left('/', 'BODY', { ctrlKey: true }), left('ArrowDown')]).toEqual([true, true, true, true]);
   });
 
   it('runs no shortcut while typing, with a modifier, or for a key that repeats', () => {

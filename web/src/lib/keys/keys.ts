@@ -66,6 +66,14 @@ export function mayBeShortcut(event: KeyLike, letters: boolean): boolean {
   return !letters && !event.repeat && !event.ctrlKey && !event.metaKey && !event.altKey && !event.defaultPrevented;
 }
 
+/**
+ * Says whether a key press would open a search of the browser's own, as these do in Firefox: it had every key from there
+ * on, that of the stop, too.
+ */
+export function opensSearch(event: KeyLike, typing: boolean): boolean {
+  return !typing && (event.key === '/' || event.key === "'") && !event.ctrlKey && !event.metaKey && !event.altKey;
+}
+
 function named({ key }: { key: string }): string {
   return key.length === 1 ? key.toLowerCase() : key;
 }
@@ -157,10 +165,11 @@ export class Keys {
   attach(target: Window): () => void {
     const listen = (event: KeyboardEvent): void => {
       const target = event.target as HTMLElement | null;
-      if (this.press(event, isTyping(target), takesLetters(target))) {
+      const typing = isTyping(target);
+      if (this.press(event, typing, takesLetters(target))) {
         event.preventDefault();
         event.stopPropagation();
-      }
+      } else if (opensSearch(event, typing)) event.preventDefault();
     };
     target.addEventListener('keydown', listen, { capture: true });
     return () => target.removeEventListener('keydown', listen, { capture: true });
