@@ -226,3 +226,9 @@ def test_the_script_that_runs_by_itself_is_the_one_that_is_sent_with_a_policy_of
     begun = {name.decode() for page in built.values() for name in re.findall(named, page.forms[""])}
     assert begun == {name for name in built if WORKER.fullmatch(name)}
     assert len(begun) == 1
+
+
+def test_a_browser_that_is_too_old_says_so(server: ServerProcess, people: People) -> None:
+    person = people.open(f"{server.url}/#token={server.tokens['operator']}", init="delete AbortSignal.any")
+    expect(person.page.get_by_text(re.compile("Firefox 124, Safari 17.4 or a newer one"))).to_be_visible()
+    expect(person.page.get_by_role("button")).to_have_count(0)
