@@ -232,3 +232,22 @@ def test_a_browser_that_is_too_old_says_so(server: ServerProcess, people: People
     person = people.open(f"{server.url}/#token={server.tokens['operator']}", init="delete AbortSignal.any")
     expect(person.page.get_by_text(re.compile("Firefox 124, Safari 17.4 or a newer one"))).to_be_visible()
     expect(person.page.get_by_role("button")).to_have_count(0)
+
+
+FIELDS = """() => [...document.querySelectorAll('input, select, textarea')]
+    .filter((one) => one.checkVisibility() && parseFloat(getComputedStyle(one).fontSize) < 16)
+    .map((one) => one.outerHTML)"""
+
+
+@pytest.mark.parametrize("size", [PHONE, SIDEWAYS])
+def test_no_field_is_so_small_that_an_iphone_enlarges_the_page(
+    size: dict[str, int], server: ServerProcess, people: People, floor: Floor
+) -> None:
+    floor.ask()
+    person = people.sit(server, size=size)
+    expect(person.page.get_by_label("Grip force you approve")).to_be_visible()
+    assert person.page.evaluate(FIELDS) == []
+    for view, field in {"audit": "Search the record", "policy": "Stated confidence", "fleet": "Profile"}.items():
+        person.page.evaluate(f"location.hash = '#/{view}'")
+        expect(person.page.get_by_label(field, exact=True)).to_be_visible()
+        assert person.page.evaluate(FIELDS) == []
