@@ -56,6 +56,21 @@ describe('a control that has just come', () => {
     expect(arming.ready).toBe(true);
   });
 
+  it('does not wait for what opened a list, of which Firefox never says that it was let go', () => {
+    const listeners: Record<string, (event: unknown) => void> = {};
+    pressed.attach({ addEventListener: (type: string, listen: (event: unknown) => void) => (listeners[type] = listen) } as unknown as Window);
+    const key = (tagName: string): void => listeners['keydown']?.({ key: ' ', code: 'Space', metaKey: false, target: { tagName } });
+    key('SELECT');
+    listeners['pointerdown']?.({ pointerId: 1, target: { tagName: 'SELECT' } });
+    shown();
+    vi.advanceTimersByTime(ARM_MS);
+    expect(arming.ready).toBe(true);
+    key('BUTTON');
+    shown();
+    vi.advanceTimersByTime(ARM_MS);
+    expect(arming.ready).toBe(false);
+  });
+
   it('waits until what was held when it came is let go, and not for what is pressed elsewhere since', () => {
     pressed.down('key ArrowDown');
     shown();

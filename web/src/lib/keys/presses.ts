@@ -34,7 +34,7 @@ export class Presses {
     const end = new AbortController();
     const how = { capture: true, signal: end.signal };
     const up = (event: PointerEvent): void => this.up(pointerOf(event));
-    target.addEventListener('pointerdown', (event) => this.down(pointerOf(event)), how);
+    target.addEventListener('pointerdown', (event) => opensList(event.target) || this.down(pointerOf(event)), how);
     target.addEventListener('pointerup', up, how);
     target.addEventListener('pointercancel', up, how);
     // Of a scrollbar that is let go, a page hears nothing but that the mouse moves with no button down.
@@ -49,8 +49,13 @@ export class Presses {
     // While Cmd is down, macOS says of no key that it was let go; of a lock it says so when the lock is.
     if (event.key === 'Meta' && !down) this.letGo(KEY);
     else if (!down) this.up(keyOf(event));
-    else if (!event.key.endsWith('Lock') && !event.metaKey) this.down(keyOf(event));
+    else if (!event.key.endsWith('Lock') && !event.metaKey && !opensList(event.target)) this.down(keyOf(event));
   }
+}
+
+/** Whether a press opens a list there: Firefox then keeps from the page that it is let go of. */
+function opensList(target: EventTarget | null): boolean {
+  return (target as { tagName?: string } | null)?.tagName === 'SELECT';
 }
 
 const KEY = 'key ';
