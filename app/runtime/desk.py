@@ -287,7 +287,7 @@ class Desk(Questions):
                 if present is not None and (void := self._void(present)):
                     now = self.register.now()
                     left = present.evolve(now, approvals=self.approvals(present))
-                    await self.register.append([voided_event(left, void)], [left.row()])
+                    await self.register.append([voided_event(left, void, entry.newest)], [left.row()])
                     self.hold(left)
 
     def _void(self, question: Escalation) -> list[str]:

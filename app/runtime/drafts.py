@@ -114,9 +114,10 @@ def acknowledged_event(escalation: Escalation, principal: Principal) -> EventDra
     return EventDraft(kind=EventKind.HUMAN, actor=principal.name, invocation=escalation.invocation, body=body)
 
 
-def voided_event(escalation: Escalation, givers: Sequence[str]) -> EventDraft:
+def voided_event(escalation: Escalation, givers: Sequence[str], invocation: Invocation) -> EventDraft:
     """Return the event that approvals count no more: who gave them may approve nothing since."""
-    body = {"decision": VOID, "givers": list(givers), "escalation": escalation.public()}
+    edited = {"policy": invocation.policy} if escalation.edits else {}  # every approval of an edit says what policy did
+    body = {"decision": VOID, "givers": list(givers), "escalation": escalation.public(), **edited}
     return EventDraft(kind=EventKind.APPROVAL, actor=SERVER, invocation=escalation.invocation, body=body)
 
 

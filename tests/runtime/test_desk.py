@@ -11,6 +11,7 @@ import pytest
 
 from app.agent.approver import decide, parse_habits
 from app.audit.errors import RecordUnavailable
+from app.audit.projection import rebuild
 from app.clock import monotonic_s
 from app.governance.model import EventKind, GrantScope
 from app.runtime import questions
@@ -242,6 +243,19 @@ async def test_an_approval_of_who_may_approve_no_more_is_taken_off_what_waits_an
     assert (alone["status"], len(alone["approvals"])) == ("pending", 1)
     assert (await answer(runtime, question))["status"] == "approved"
     await cell.expect("launch")
+
+
+async def test_the_log_says_what_policy_made_of_an_edit_whose_approval_counts_no_more(
+    house: House, runtime: Runtime, cell: HandCell
+) -> None:
+    cell.facts = dict(AT_TOOLS)
+    await cell.state()
+    made, question = await asked(runtime, press())
+    await answer(runtime, question, params={"force_n": 30})
+    house.withdrawn.add(OPERATOR.name)
+    await until(lambda: [one.approvals for one in runtime.desk.pending()] == [()])
+    known = rebuild(await runtime.register.store.events(invocation=made["id"]))
+    assert known["policy"] == (await runtime.governor.invocation(made["id"], AGENT))["policy"]
 
 
 async def test_who_may_approve_no_more_once_their_turn_comes_launches_nothing(
