@@ -215,8 +215,7 @@ class Session(Governing):
         super()._report(alerts)
         if self.steering is not None:
             for alert in alerts:
-                excess = abs(alert.value - alert.threshold)
-                self.steering.blocked.setdefault(alert.rule, (self.run.watcher.signal_of(alert.rule), excess))
+                self.steering.blocked.setdefault(alert.rule, (self.run.watcher.signal_of(alert.rule), alert.excess))
 
     def _respond(self, decision: Decision, alert: Alert) -> None:
         if self.steering is None:

@@ -201,7 +201,7 @@ class Responses:
         growth = math.inf if rule is None else GROWTH.get(rule.signal, math.inf)
         if alert is None:
             return grace._replace(excess=grace.excess or 0.0) if growth < math.inf else None
-        excess = abs(alert.value - alert.threshold)
+        excess = alert.excess
         if grace.excess is None:
             return grace._replace(excess=excess)
         growth = growth if grace.growth is None else grace.growth

@@ -720,13 +720,22 @@ class WatchPlan:
 
 
 class Alert(NamedTuple):
-    """One thing the watcher said: signal, the rule behind it, the measured value against its threshold."""
+    """One thing the watcher said: signal, the rule behind it, the measured value against its threshold.
+
+    `lingers` says that the rule is not violated any more, but not clear by as much as it has to be.
+    """
 
     signal: Signal
     rule: str
     value: float
     threshold: float
     failure: str = ""
+    lingers: bool = False
+
+    @property
+    def excess(self) -> float:
+        """Return how far the rule is violated."""
+        return 0.0 if self.lingers else abs(self.value - self.threshold)
 
 
 # -- recovering ------------------------------------------------------------------------------------

@@ -192,9 +192,10 @@ class Watcher:
             row = self._rows[number]
             if ticks >= row.ticks or row.rule.method == "cusum":  # a sum that has passed its limit has lasted
                 limit = _threshold(row, signals)
-                if row.beyond > 0.0 and not row.violated(signals):  # it says what it waits for
+                lingers = row.beyond > 0.0 and not row.violated(signals)
+                if lingers:  # it says what it waits for
                     limit -= row.sign * row.beyond
-                yield Alert(row.rule.emits, row.rule.id, signals[row.shown], limit, row.rule.failure)
+                yield Alert(row.rule.emits, row.rule.id, signals[row.shown], limit, row.rule.failure, lingers)
 
 
 def compile_watch(plan: WatchPlan, period_s: float = CONTROL_PERIOD_S) -> Watcher:

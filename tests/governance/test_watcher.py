@@ -9,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from app.governance.detectors import STUCK_TICKS
+from app.governance.intervention import Responses, leaving
 from app.governance.model import (
     Alert,
     Bounds,
@@ -817,6 +818,20 @@ def test_a_human_who_lets_go_on_need_not_wait_for_what_is_within_its_limit() -> 
     other = compile_watch(watching(waiting, sensitivity=0.5))
     _, state = heard(other, [0.21] * 5)
     assert other.let_go(state) == state
+
+
+def test_a_hand_leads_out_of_what_is_clear_only_well_within_its_limit() -> None:
+    pressed = rule("contact_force_n", threshold=50.0, response=replace(WAITING, clear_beyond=20.0))
+    watcher = compile_watch(watching(pressed, sensitivity=1.0))
+    responses, state, spoke = Responses(watcher.rules, 0.01), watcher.begin(), list[bool]()
+    led = leaving({pressed.id: ("contact_force_n", 4.0)}, 0, 0.01)
+    for tick, force_n in enumerate((54.0, 53.0, 48.0, 44.0, 40.0, 36.0, 32.0, 28.0, 26.0)):
+        now = seen(tick, contact_force_n=force_n, peak_force_n=force_n)
+        state, alerts = watcher.watch(state, now, SkillReport("move", 0.5), HOLD)
+        spoke.append(bool(alerts))
+        led, decision = responses.intervene(led, alerts, tick)
+        assert decision.intervention is Intervention.CONTINUE, force_n
+    assert spoke == [*[True] * 7, False, False]
 
 
 def test_an_attempt_begins_with_fresh_timers_and_known_positions() -> None:
