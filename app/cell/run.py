@@ -264,7 +264,7 @@ class Run:
     def yielding(self, command: Command, seen: Observation) -> Command:
         """Return a command with the arm kept where it gives way; once the skill is let go on that is over."""
         if self.given is None or self.moves():
-            self.given = None
+            self.given, self.giving_ticks = None, 0  # left over, they had no later hold be watched (`strays`)
             return command
         if self.giving_ticks > 0:
             self.giving_ticks -= 1

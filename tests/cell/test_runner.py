@@ -386,6 +386,27 @@ def test_power_is_cut_where_an_arm_moves_while_it_is_held(rig: Rig) -> None:
     assert "held" in rig.runner.view().broken
 
 
+def test_an_arm_that_gave_way_once_is_watched_anew_in_every_later_hold(rig: Rig) -> None:
+    touches = rule("contact_force_n", name="touches", threshold=50.0, response=KEEP_AWAY)
+    rig.plan = replace(PLAN, rules=(*RULES, touches))
+    rig.cell.script.ticks = 300.0
+    rig.launch()
+    rig.ticks(50)
+    rig.cell.lie = lambda seen: seen._replace(contact_force_n=60.0 + seen.contact_force_n)
+    rig.ticks(5)
+    rig.cell.lie = lambda seen: seen
+    rig.until_status("running")  # 0.2 s later: it need not give way for as long as it was to
+    rig.ticks(50)
+    assert rig.runner.human("inv-1", "pause", "operator") is None
+    rig.ticks(20)
+    paused_s = rig.cell.observe().time_s
+    rig.cell.lie = lambda seen: seen._replace(
+        joint_rad=(seen.joint_rad[0] - 0.3 * (seen.time_s - paused_s), *seen.joint_rad[1:])
+    )
+    rig.ticks(75)
+    assert rig.last("outcome")["code"] == "not_held"
+
+
 def test_an_arm_that_gave_way_is_led_back_slowly_to_where_its_skill_has_it(
     rig: Rig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
