@@ -85,7 +85,8 @@ _KEPT_CHARACTERS: Final = 32_768  # of one file: what is kept stays small, whate
 _MAX_DIGITS: Final = 400  # of an integer with leading zeros; longer ones are not even read
 
 
-_TURNING: Final = re.compile("[\u202a-\u202e\u2066-\u2069]")  # embeddings, overrides, isolates (Unicode TR 9)
+# Embeddings, overrides, isolates (Unicode TR 9), also as YAML writes them in double quotes: what is shown holds them.
+_TURNING: Final = re.compile(r"[\u202a-\u202e\u2066-\u2069]|\\(?:u|U0000)(?:202[a-eA-E]|206[6-9])")
 
 
 def turned(file: str, text: str) -> list[PolicyError]:
@@ -96,9 +97,13 @@ def turned(file: str, text: str) -> list[PolicyError]:
     found = ((at, mark) for at, line in enumerate(text.splitlines(), 1) for mark in _TURNING.findall(line))
     said = "`U+{:04X}` turns round how the line is read"
     return [
-        PolicyError(file=file, line=at, key="", message=said.format(ord(mark)), valid=["text without it"])
+        PolicyError(file=file, line=at, key="", message=said.format(_point(mark)), valid=["text without it"])
         for at, mark in found
     ]
+
+
+def _point(mark: str) -> int:
+    return ord(mark) if len(mark) == 1 else int(mark[-4:], 16)
 
 
 class _Walk:
