@@ -51,6 +51,7 @@ PUSHED_NM: Final = 5.0  # as much is left unexplained by a sound run; less says 
 RETURNS_RADPS: Final = 0.1  # 6 cm/s for a hand at 0.6 m: what it gave way to may be there still
 STRAYS_RAD: Final = 0.2  # more than a stop or `GIVES_RAD` moves a joint that is held
 GAINS_MPS: Final = 0.3  # twice what a hand gains that is braked, by servos that run ahead or by what it springs off
+SETTLES: Final = 0.98  # of its speed by then, in a tick, once it is told to stand: it swings back for 0.2 s at most
 LINK: Final = "link"  # why a cell holds whose link's lease has lapsed
 _AT_REST: Final = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 NOT_SAID: Final = SkillReport("", 0.0)
@@ -168,7 +169,7 @@ class Run:
     apart: Vec6 | None = None
     giving_ticks: int = 0
     stood: Vec6 | None = None  # where the arm was once it was held
-    braked_mps: float | None = None  # how fast the hand was when that began
+    braked_mps: float | None = None  # how fast the hand was when that began, or may be still
 
     def __post_init__(self) -> None:
         """Begin with the bounds of the plan."""
@@ -310,12 +311,13 @@ class Run:
         if self.giving_ticks > 0:  # in touch with something: brakes that fall in now clamp it, by 650 N for good
             self.stood, self.braked_mps = seen.joint_rad, None
             return False
-        if self.braked_mps is None:
+        if self.braked_mps is None or not math.isfinite(self.braked_mps):
             self.braked_mps = seen.tcp_speed_mps
         if seen.tcp_speed_mps > self.braked_mps + GAINS_MPS:
             return True
         if self.rate > 0.0:
             return False
+        self.braked_mps *= SETTLES
         self.stood = self.stood or seen.joint_rad
         return any(abs(q - stood) > STRAYS_RAD for q, stood in zip(seen.joint_rad, self.stood, strict=True))
 

@@ -386,6 +386,22 @@ def test_power_is_cut_where_an_arm_moves_while_it_is_held(rig: Rig) -> None:
     assert "held" in rig.runner.view().broken
 
 
+@pytest.mark.parametrize("first_mps", [0.2, math.nan])
+def test_power_is_cut_where_a_hand_gains_speed_that_has_stood_however_fast_it_was(rig: Rig, first_mps: float) -> None:
+    rig.cell.script.ticks = 300.0
+    rig.launch()
+    rig.ticks(50)
+    assert rig.runner.human("inv-1", "pause", "operator") is None
+    session = rig.runner.session
+    assert session is not None
+    session.seen = session.seen._replace(tcp_speed_mps=first_mps)
+    rig.ticks(100)
+    assert rig.runner.status == "paused"
+    rig.cell.lie = lambda seen: seen._replace(tcp_speed_mps=0.35)
+    rig.ticks(2)
+    assert rig.last("outcome")["code"] == "not_held"
+
+
 def test_an_arm_that_gave_way_once_is_watched_anew_in_every_later_hold(rig: Rig) -> None:
     touches = rule("contact_force_n", name="touches", threshold=50.0, response=KEEP_AWAY)
     rig.plan = replace(PLAN, rules=(*RULES, touches))
