@@ -66,12 +66,11 @@ def sitting(session: Governing | None) -> Sitting | None:
     if session is None:
         return None
     run = session.run
-    rules = run.watcher.rules
     return Sitting(
         profile=run.grant.authorization.profile,
         phase=run.report.phase,
         doing=run.doing.value,
-        violated=[rules[row].id for row, ticks in run.watching.lasting if ticks > 0],
+        violated=run.watcher.violated(run.watching),  # what speaks on once it is let go on
         paused_by=sorted(run.paused_by),
         waits_for=run.escalated_by if run.status is Status.ESCALATED else "",  # what was asked last is no question now
     )

@@ -100,7 +100,8 @@ class WatchState(NamedTuple):
 
     `remembered` are the values of `Senses`, `measured` those of `Signals`: plain tuples are made and taken apart in a
     third of the time, and in most ticks nobody asks for a name. `lasting` holds (row, ticks) of the rules violated now,
-    `sums` the cumulative sums of the CUSUM rules in order.
+    or that have spoken and are not over yet (less than 0: for how long they have been clear), `sums` the cumulative
+    sums of the CUSUM rules in order.
     """
 
     remembered: tuple[object, ...] = tuple(Senses())

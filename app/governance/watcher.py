@@ -156,10 +156,16 @@ class Watcher:
 
     def let_go(self, state: WatchState) -> WatchState:
         """Return the state after a human let go on: what is within its limit is clear, by however little."""
+        return state._replace(lasting=self._violated(state))
+
+    def violated(self, state: WatchState) -> list[str]:
+        """Name the rules that are violated now: none that only waits for its signal to be clear by more."""
+        return [self.rules[number].id for number, _ in self._violated(state)]
+
+    def _violated(self, state: WatchState) -> tuple[tuple[int, int], ...]:
         signals = state.signals
         lasting = ((self._rows[number], number, ticks) for number, ticks in state.lasting)
-        kept = ((number, ticks) for row, number, ticks in lasting if row.beyond == 0.0 or row.violated(signals))
-        return state._replace(lasting=tuple(kept))
+        return tuple((number, ticks) for row, number, ticks in lasting if row.beyond == 0.0 or row.violated(signals))
 
     def signal_of(self, rule: str) -> str:
         """Return the signal that a rule watches; empty where the plan has no such rule."""

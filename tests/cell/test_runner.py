@@ -621,8 +621,14 @@ def test_what_is_within_its_limit_by_too_little_holds_until_an_operator_lets_go_
     )
     rig.launch()
     rig.until_status("paused")
+    shown = sitting(rig.runner.session)
+    assert shown is not None
+    assert shown.violated == ["near"]
     rig.ticks(100)
     assert rig.runner.status == "paused"
+    shown = sitting(rig.runner.session)
+    assert shown is not None
+    assert shown.violated == [], "told to go on it waits for nothing"
     assert rig.runner.human("inv-1", "resume", "operator") is None
     assert rig.finish()["outcome"] == "succeeded"
     assert [body["status"] for body in rig.of("status")].count("paused") == 1

@@ -812,6 +812,8 @@ def test_a_human_who_lets_go_on_need_not_wait_for_what_is_within_its_limit() -> 
     ):
         _, state = heard(watcher, before)
         assert [one for one in watcher.let_go(state).lasting if one[0] == 0] == kept
+        assert watcher.violated(watcher.let_go(state)) == watcher.violated(state)
+        assert ("tcp_speed_mps" in watcher.violated(state)) == bool(kept)
     _, state = heard(watcher, [0.21, 0.19])
     assert heard(watcher, [0.19, 0.21], watcher.let_go(state), start=2)[0] == ["", "!0.2"]
     waiting = rule("tcp_speed_mps", threshold=0.2, for_ms=100)  # without a distance all stays as it is
