@@ -16,7 +16,7 @@ from app.cell.journal import JournalUnavailable
 from app.cell.run import LINK, Bind, Doing, End, Run, Unprepared, not_restored, seen_since
 from app.cell.substrate import SubstrateError
 from app.governance.clamp import clamp, hold
-from app.governance.intervention import CONTACT, NOTHING, Decision, recovering, released
+from app.governance.intervention import CONTACT, NOTHING, Decision, recovering
 from app.governance.model import Alert, Intervention, Mode, Outcome, SkillReport, SkillState, Status, Strategy
 from app.governance.recovery import RecoveryDecision, lead_back, recover, roll_back
 from app.governance.session import Event, final_status, step
@@ -581,7 +581,7 @@ class Governing:
         if run.used.rolled_back and run.status is Status.RECOVERING:
             return "rollback_unavailable"  # what became of that is being mended, and waits for no answer
         run.paused_by.clear()
-        run.responding = released(run.responding)
+        run.release()
         unavailable = self._roll_back(code)
         if unavailable is not None:
             self.escalate(unavailable)  # whoever asked for it is there to decide

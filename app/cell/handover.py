@@ -21,7 +21,7 @@ from app.cell.steering import NOTHING, Steering, asks
 from app.cell.substrate import Steered, SubstrateError
 from app.governance import intervention
 from app.governance.control import TAKEOVER
-from app.governance.intervention import leaving, recovering, released
+from app.governance.intervention import leaving, recovering
 from app.governance.model import Intervention, Mode, Outcome, Status
 from app.governance.recovery import retracing, roll_back
 from app.governance.session import Event
@@ -386,7 +386,7 @@ class Session(Governing):
             return "rollback_unavailable"
         self._leave()  # nor is it handed back any more, where that was under way
         run.paused_by.clear()
-        run.responding = released(run.responding)
+        run.release()
         self._follow(decision)
         run.failed = ""
         return None

@@ -14,7 +14,7 @@ from operator import add, mul, sub
 from typing import TYPE_CHECKING, Final, TypeAlias
 
 from app.governance.clamp import hold
-from app.governance.intervention import NOTHING, InterventionState, Responses
+from app.governance.intervention import NOTHING, InterventionState, Responses, released
 from app.governance.model import Outcome, SkillReport, SkillState, Status
 from app.governance.recovery import Budgets, RecoveryDecision
 from app.governance.signals import WatchState
@@ -334,6 +334,11 @@ class Run:
         """Note that a human lets go on: what spoke has been answered, and only what is violated now speaks again."""
         self.watching = self.watcher.let_go(self.watching)
         self.responding = self.responses.let_go(self.responding)
+
+    def release(self) -> None:
+        """Note that a human has it undone: that answers what spoke, and only what is violated now speaks again."""
+        self.watching = self.watcher.let_go(self.watching)
+        self.responding = released(self.responding)
 
     def moves(self) -> bool:
         """Say whether the skill is to be let run."""

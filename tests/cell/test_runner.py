@@ -635,6 +635,22 @@ def test_what_is_within_its_limit_by_too_little_holds_until_an_operator_lets_go_
     assert [body["signal"] for body in rig.of("alert") if body["rule"] == "near"] == ["VIOLATION", "NORMAL"]
 
 
+def test_what_is_within_its_limit_by_too_little_holds_no_rollback_that_an_operator_orders(rig: Rig) -> None:
+    near = replace(KEEP_AWAY, clear_beyond=10.0, persist_ms=1000)
+    rig.plan = replace(PLAN, rules=(*RULES, rule("contact_force_n", name="near", threshold=50.0, response=near)))
+    rig.cell.script.ticks = 400.0
+    rig.cell.lie = lambda seen: seen._replace(
+        contact_force_n=(60.0 if 1.0 < seen.time_s < 2.2 else 45.0) + seen.contact_force_n
+    )
+    rig.launch()
+    rig.until_status("escalated")
+    rig.ticks(50)
+    assert rig.runner.human("inv-1", "rollback", "operator") is None
+    rig.ticks(200)
+    assert rig.statuses() == ["running", "paused", "escalated", "recovering"]
+    assert rig.cell.runs["retrace"] == 1
+
+
 def test_a_recovery_waits_for_whoever_is_in_the_way(rig: Rig) -> None:
     rig.cell.script.grip_n = 20.0
     walking_in(rig, from_s=0.9, until_s=3.0)
