@@ -360,7 +360,7 @@ describe('why a held session asks', () => {
     expect(reasonLines(held, null)[0]).toMatchObject({ strong: 'It could not be undone and verified.', text: 'The robot holds where it is and waits. Let it go on with a new attempt, or end it.' });
   });
 
-  it.each(['separation', 'people'])('is somebody too near, whatever the rule is called (%s)', (code) => {
+  it.each(['separation', 'people'])('is somebody too near, by either name of the rule (%s)', (code) => {
     const near = escalation({ kind: 'session', reasons: [{ ...reason, code }] });
     expect(reasonLines(near, null)[0]).toMatchObject({ icon: 'person', strong: 'A person stayed inside the protective distance, or at its edge.', text: 'The robot holds where it is and waits. Let it go on with a new attempt, or end it.' });
   });

@@ -26,6 +26,7 @@ describe('a note on a session', () => {
   it('is told to be too long by what goes beyond what the server takes of it', () => {
     expect(tooLong(` ${'x'.repeat(4096)} `)).toBe('');
     expect(tooLong('x'.repeat(4097))).toBe('The note is 1 letter longer than the record takes.');
+    expect(tooLong('😀'.repeat(4096))).toBe('');
     expect(tooLong('x'.repeat(5000))).toBe('The note is 904 letters longer than the record takes.');
   });
 });

@@ -33,7 +33,7 @@ const NOTE_LENGTH = 4096;
 
 /** What to say of a note that cannot be recorded whole; empty where it can. Nothing of it is cut off unsaid. */
 export function tooLong(note: string): string {
-  const over = note.trim().length - NOTE_LENGTH;
+  const over = Array.from(note.trim()).length - NOTE_LENGTH; // as the server counts them, a picture as one
   return over > 0 ? `The note is ${over} ${over === 1 ? 'letter' : 'letters'} longer than the record takes.` : '';
 }
 
