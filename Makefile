@@ -12,6 +12,8 @@ TYPINGS := typings/mujoco/__init__.pyi
 
 # Hundreds of processes start in the tests; where nothing may be kept, each compiles every module anew.
 unexport PYTHONDONTWRITEBYTECODE
+# Nor may each have linear algebra start a thread for every core: they spin while it loads. What is multiplied is small.
+export OPENBLAS_NUM_THREADS ?= 1
 
 .DEFAULT_GOAL := help
 .PHONY: help setup console demo run test check bench evaluate pictures format lock clean \

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 import orjson
 import typer
 
-from app.agent.address import blaming_environment
 from app.agent.answers import Unsendable
 from app.agent.answers import document as as_document
 from app.agent.conversation import MAX_TOKEN, header_text
@@ -54,6 +53,8 @@ class Door:
     def __init__(self, data: Path, server: str | None, token: str | None) -> None:
         """Find the address, the token, and whom to trust. Ends the command where there is none."""
         import httpx
+
+        from app.agent.address import blaming_environment
 
         layout = DataDir(root=data)
         self._url = server or _read(layout.server, "url", "name the server with --server, or a data directory in use")

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 CANONICAL = orjson.OPT_SORT_KEYS
 ANY_KEYS = CANONICAL | orjson.OPT_NON_STR_KEYS  # enums are keys too; the bytes are the same, at twice the price
 MAX_BODY_BYTES = 4 * 1024 * 1024
+MAX_PAGE_BYTES = 4 * 1024 * 1024  # of events that are read and written in one go: meanwhile nothing else goes on
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

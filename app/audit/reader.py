@@ -16,7 +16,7 @@ import sqlalchemy as sa
 from sqlalchemy.exc import SQLAlchemyError
 
 from app.audit.errors import AuditError, RecordDamaged, RecordUnreadable
-from app.audit.event import Event
+from app.audit.event import MAX_PAGE_BYTES, Event
 from app.audit.tables import STATE, STORE_GIVEN, checkpoints, events, invocations
 from app.clock import monotonic_s, rfc3339
 from app.governance.model import EventKind
@@ -27,7 +27,6 @@ if TYPE_CHECKING:
 
 Row = dict[str, Any]
 MAX_LIMIT = 1000
-MAX_PAGE_BYTES = 4 * 1024 * 1024  # that are read and written in one go: meanwhile nothing else goes on
 PRIMARY = 0xFF  # of SQLite's codes: the rest says which of a kind it is
 FAILURES = (SQLAlchemyError, sqlite3.Error, UnicodeDecodeError)  # the last where SQLite cites a damaged schema
 LOOK_EVERY = 10_000  # of SQLite's own steps, between two looks at the clock

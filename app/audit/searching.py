@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple, Protocol
 import orjson
 
 from app.audit.errors import EventUnreadable
-from app.audit.reader import MAX_PAGE_BYTES
+from app.audit.event import MAX_PAGE_BYTES
 from app.clock import monotonic_s
 
 if TYPE_CHECKING:
