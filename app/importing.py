@@ -15,8 +15,8 @@ if TYPE_CHECKING:
 def importing() -> Generator[None]:
     """Import without the collector: modules stay, and looking for garbage among them takes a sixth of a start.
 
-    Numpy's and SciPy's linear algebra has a thread for each core, which spins as it is loaded: a third of a cell's start.
-    Matrices are small here and need one, also in what is started from here; whoever says otherwise is heard.
+    Numpy's and SciPy's linear algebra has a thread for each core, which spins as it is loaded: a third of a cell's
+    start. Matrices are small here and need one, also in what is started from here; whoever says otherwise is heard.
     """
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     gc.disable()

@@ -28,7 +28,7 @@ from app.audit.merkle import Frontier, leaf_hash
 from app.audit.migrate import migrate
 from app.audit.places import Places, create_key, load_key
 from app.audit.reader import SCHEMA, Reader
-from app.audit.rows import Batches, Insertion, Writing, primary_key, replacement, same_key
+from app.audit.rows import Batches, Writing, prepared, primary_key, same_key
 from app.audit.schema import schema_problems
 from app.audit.tables import ON_CONNECT, STATE, STORE_GIVEN, checkpoints, events
 from app.audit.verification import verify_log
@@ -87,12 +87,10 @@ class Ledger:
             opened.callback(self._connection.close)
             self._check_key(made_here or self._connection.execute(SCHEMA).first() is None)
             migrate(self._connection)
-            dialect = self._engine.dialect
-            self._replace = {
-                name: Insertion(replacement(table, dialect.name), table, dialect) for name, table in STATE.items()
-            }
-            self._insert_event = Insertion(sa.insert(events), events, dialect)
-            self._insert_checkpoint = Insertion(sa.insert(checkpoints), checkpoints, dialect)
+            dialect = self._engine.dialect.name
+            self._replace = {name: prepared(table, dialect, replaces=True) for name, table in STATE.items()}
+            self._insert_event = prepared(events, dialect)
+            self._insert_checkpoint = prepared(checkpoints, dialect)
             self._batches = Batches(
                 self._connection, [*self._replace.values(), self._insert_event, self._insert_checkpoint]
             )

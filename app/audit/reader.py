@@ -9,11 +9,13 @@ import re
 import sqlite3
 import zlib
 from contextlib import closing
+from functools import cache
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypedDict, Unpack, cast
 from urllib.parse import quote
 
 import sqlalchemy as sa
 from sqlalchemy.exc import SQLAlchemyError
+from sqlalchemy.util import LRUCache
 
 from app.audit.errors import AuditError, RecordDamaged, RecordUnreadable
 from app.audit.event import MAX_PAGE_BYTES, Event
@@ -22,8 +24,10 @@ from app.clock import monotonic_s, rfc3339
 from app.governance.model import EventKind
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Mapping
+    from collections.abc import Callable, Collection, Iterable, Mapping
     from pathlib import Path
+
+    from sqlalchemy.engine.interfaces import DBAPIConnection
 
 Row = dict[str, Any]
 MAX_LIMIT = 1000
@@ -31,6 +35,8 @@ PRIMARY = 0xFF  # of SQLite's codes: the rest says which of a kind it is
 FAILURES = (SQLAlchemyError, sqlite3.Error, UnicodeDecodeError)  # the last where SQLite cites a damaged schema
 LOOK_EVERY = 10_000  # of SQLite's own steps, between two looks at the clock
 EVENT_COLUMNS = (events.c.seq, events.c.at, events.c.kind, events.c.invocation, events.c.actor, events.c.body)
+# Whoever looks at a log opens a handful of readers; compiling what each asks would take longer than the answers do.
+COMPILED: Final = LRUCache[Any, Any](500)
 NEWEST = sa.select(checkpoints.c.size, checkpoints.c.note).order_by(checkpoints.c.size.desc()).limit(1)
 EXTENT = sa.text(
     "SELECT (SELECT min(seq) FROM events) AS first, (SELECT max(seq) FROM events) AS last,"
@@ -75,6 +81,14 @@ class Extent(NamedTuple):
     signed: int
 
 
+@cache
+def _common() -> sa.Engine:
+    """Return an engine that has met its SQLite; all readers' are of its dialect, for which `COMPILED` holds."""
+    engine = sa.create_engine("sqlite://")
+    engine.connect().close()
+    return engine
+
+
 class Reader:
     """Read-only access to one log's database.
 
@@ -91,7 +105,13 @@ class Reader:
         self.database = database
         if not database.is_file():
             raise RecordDamaged(database, "no such log: is this the data directory of a server?")
-        self._engine = sa.create_engine("sqlite://", creator=self._connect, poolclass=sa.QueuePool, pool_size=2)
+        common = _common()
+        self._engine = sa.Engine(
+            sa.QueuePool(cast("Callable[[], DBAPIConnection]", self._connect), pool_size=2, dialect=common.dialect),
+            common.dialect,
+            common.url,
+            execution_options={"compiled_cache": COMPILED},
+        )
         try:
             self.extent()
         except AuditError:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from operator import itemgetter
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -234,6 +235,19 @@ def execute(connection: sa.Connection, text: str, parameters: Sequence[str | byt
         cursor.execute(text, parameters)
     finally:
         cursor.close()
+
+
+@cache
+def prepared(table: sa.Table, dialect: str, *, replaces: bool = False) -> Insertion:
+    """Return how rows get into a table; compiled once, however many logs a process opens.
+
+    Args:
+        table: the table.
+        dialect: the database's, one of `UPSERT`.
+        replaces: whether a row takes the place of the one with its key, as `replacement` says.
+    """
+    statement = replacement(table, dialect) if replaces else sa.insert(table)
+    return Insertion(statement, table, sa.URL.create(dialect).get_dialect()())
 
 
 def replacement(table: sa.Table, dialect: str) -> sa.Executable:
