@@ -57,9 +57,10 @@ run: setup  ## a server with one simulated cell and a demo agent; keeps running
 test: setup  ## the whole test suite
 	@$(MAKE) --no-print-directory --keep-going -j4 test-served test-console test-runtime test-evaluation $(COMPUTING)
 
-# For two cores, four at a time, the longest first: with a fifth, all of them wait for their turns, and pay for each. What starts servers and cells mostly waits, and so does what drives a
-# robot at a console: one lane each, as long as the other, and a third for what serves within one process. Leases of
-# 300 ms are real time there. What only computes fills the cores and gives way. What is named nowhere runs with the processes.
+# For two cores, four at a time, the longest first: with a fifth, all pay for waiting for their turns. What starts servers
+# and cells mostly waits, and so does what drives a robot at a console: one lane each, as long as the other, and a third
+# for what serves within one process. Leases of 300 ms are real time there. What only computes fills the cores and gives
+# way. What is named nowhere runs with the processes.
 WATCHED := tests/test_demo.py tests/test_takeover.py tests/console
 SHOWN := $(patsubst %,tests/console/test_%.py,names phone pressing reading reviewing scene versions)
 SESSIONS := $(patsubst %,tests/test_%.py,activation confirmation console contract crash_recovering)
