@@ -24,7 +24,7 @@ from app.agent.planner import Goal, GoalFailed, ReferenceAgent
 Event: TypeAlias = Mapping[str, Any]
 
 _LAST_WORDS = 20
-_VERBS = {"approve": "approves", "deny": "denies", "void": "counts an approval no more: asks on about"}
+_VERBS = {"approve": "approves", "deny": "denies"}
 
 FETCH = Goal(kind="fetch", subject="mug_1", destination="bench_b")
 
@@ -106,6 +106,9 @@ def _escalation(_: Event, body: Event) -> Line | None:
 
 
 def _approval(event: Event, body: Event) -> Line:
+    if body.get("decision") == "void":
+        givers = " and ".join(body.get("givers", ()))
+        return Line(who="desk", mood="warn", words=f"{givers} may approve nothing any more: asks on without their word")
     return Line(
         who=event["actor"], mood="human", words=f"{_VERBS.get(body.get('decision', ''), 'answers')} the proposal"
     )

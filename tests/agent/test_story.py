@@ -114,6 +114,13 @@ def test_every_event_of_the_story_has_its_words():
     assert "paused → running (clear)" in words
 
 
+def test_approvals_that_are_taken_off_are_told_with_those_who_gave_them():
+    void = {"kind": "approval", "actor": "server", "body": {"decision": "void", "givers": ["olivia", "oskar"]}}
+    line = narrate(void)
+    assert line is not None
+    assert line.words == "olivia and oskar may approve nothing any more: asks on without their word"
+
+
 @pytest.mark.anyio
 async def test_nobody_stays_behind_where_the_server_refuses_midway(tmp_path: Path):
     before, once = asyncio.all_tasks(), iter([(200, {"size": 0})])
