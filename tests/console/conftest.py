@@ -168,6 +168,10 @@ class Person:
     def button(self, name: str | re.Pattern[str]) -> Locator:
         return self.page.get_by_role("button", name=name)
 
+    def says_why(self, reason: str = "not needed") -> None:
+        """Choose the reason of a denial, which none is sent without."""
+        self.page.get_by_label(re.compile("^Reason if")).select_option(label=reason)
+
     def region(self, name: str) -> Locator:
         return self.page.get_by_role("region", name=name)
 

@@ -55,6 +55,7 @@ def test_the_focus_stays_with_a_question_while_its_answer_is_sent_and_a_denial_t
     person.page.route("**/resolve", hold)
     deny = person.button(re.compile("^Deny"))
     expect(deny).to_be_focused()
+    person.says_why()
     deny.click()
     until(lambda: held or person.page.wait_for_timeout(20), what="an answer on its way")
     person.page.evaluate(THREE_FRAMES)
@@ -65,8 +66,9 @@ def test_the_focus_stays_with_a_question_while_its_answer_is_sent_and_a_denial_t
     assert floor.settled(asked["id"])["status"] == "denied"
     floor.ask()
     link = person.page.get_by_role("link", name="Fleet")
-    link.focus()
     expect(deny).to_be_enabled()
+    person.says_why()
+    link.focus()
     expect(link).to_be_focused()  # whoever is at something else is left there
     person.press("d")
     until(lambda: held or person.page.wait_for_timeout(20), what="another answer on its way")
@@ -78,6 +80,7 @@ def test_the_focus_stays_with_a_question_while_its_answer_is_sent_and_a_denial_t
     floor.ask("glass_1")
     expect(card(person, "Grasp glass_1")).to_be_visible()
     floor.ask("mug_1")
+    person.says_why()
     deny.click()
     until(lambda: held or person.page.wait_for_timeout(20), what="a denial that is held")
     person.press("x")
@@ -109,7 +112,13 @@ def test_a_question_appears_and_is_answered_by_one_key_and_a_denial_gives_the_ag
     expect(person.alert("Waiting for you: Grasp mug_1, medium risk.")).to_be_attached()
     expect(person.button(re.compile("^Deny"))).to_be_focused()
     expect(person.page.get_by_role("row", name=re.compile("^Grip force|^Force"))).to_contain_text("80")
-    card(person).get_by_label("Reason if denied").select_option(label="person in the way")
+    reasons = card(person).get_by_label("Reason if denied")
+    press_until(person, "d", gone=person.page.locator(":not(select):focus"))
+    expect(reasons).to_be_focused()  # a denial needs a reason, and here none suggests itself
+    expect(card(person).get_by_role("alert")).to_have_text("Why? Choose a reason, then press Deny again.")
+    assert server.get(f"/v1/invocations/{proposed['id']}")["status"] == "awaiting_approval"
+    reasons.select_option(label="person in the way")
+    expect(card(person).get_by_role("alert")).to_have_count(0)
     card(person).get_by_role("heading").click()
     press_until(person, "d", gone=card(person))
     denied = floor.settled(proposed["id"])
@@ -225,6 +234,7 @@ def test_of_two_who_answer_one_wins_or_the_first_may_still_deny_and_is_told_what
     expect(mine).to_contain_text("operator_2 changed what is asked: grip force 60 → 33 N.")
     expect(mine).to_contain_text("Your approval was of what was asked before and does not count any more.")
     expect(stages(one)).to_contain_text("waits for you")
+    one.says_why()
     press_until(one, "d", gone=mine)
     expect(theirs).to_have_count(0)
     assert floor.settled(proposed["id"])["status"] == "denied"
@@ -247,6 +257,7 @@ def test_of_two_who_answer_one_wins_or_the_first_may_still_deny_and_is_told_what
         expect(person.button(re.compile("^Approve"))).to_be_enabled()
     with at_once("**/resolve", one, other):
         one.button(re.compile("^Approve")).click()
+        other.says_why()
         other.button(re.compile("^Deny")).click()
     words = [person.page.get_by_text("Somebody has answered this already.") for person in (one, other)]
     until(lambda: any(said.is_visible() for said in words), what="words for the one who came second")
@@ -379,6 +390,7 @@ def covered(server: ServerProcess, person: Person, proposed: dict[str, Any]) -> 
         person.press(key)
     assert server.get(f"/v1/invocations/{proposed['id']}")["status"] == "awaiting_approval"
     person.press("Escape")
+    person.says_why()
     press_until(person, "d", gone=card(person))
     assert server.await_status(proposed["id"], "denied")
 
@@ -405,6 +417,7 @@ def test_no_key_answers_behind_the_list_of_keys_or_from_the_panel_and_a_stopped_
     expect(approve).to_be_disabled()
     person.press("t")
     expect(person.button("Take the controls")).to_be_disabled()
+    person.says_why()
     deny.click()
     assert floor.settled(proposed["id"])["status"] == "denied"
 
@@ -499,6 +512,7 @@ def test_a_grant_says_whole_what_it_covers_and_is_for_a_task_only_where_the_prop
     choice.select_option("")
     expect(choice).to_have_accessible_description("")
     expect(person.button("and allow")).to_have_count(0)
+    person.says_why()
     press_until(person, "d", gone=card(person))
     assert floor.settled(asked["id"])["status"] == "denied"
     expect(offers).to_have_count(0)

@@ -223,6 +223,10 @@ def test_an_incident_is_worked_off_by_keyboard_the_gravest_first(
         expect(rows(person)).to_have_count(left)
         expect(deny(person)).to_be_focused()
         person.press("Enter")
+        expect(cards(person).get_by_label("Reason if denied")).to_be_focused()
+        for key in ("ArrowDown", "Home", "ArrowDown", "Enter"):  # the first one opens the list
+            person.press(key)
+        person.press("d")
     expect(rows(person)).to_have_count(2)
     denied = [server.get(f"/v1/invocations/{id}")["status"] for id in incident.made]
     assert denied == ["awaiting_approval", "awaiting_approval", "denied", "awaiting_approval", "denied"]
@@ -450,8 +454,12 @@ def test_in_an_incident_on_a_phone_answers_and_stop_stay_in_reach(
     assert out_of_reach(stop(person)) == []
     assert wider_than_the_screen(person.page) == []
     expect(cards(person)).to_contain_text("workcell-2")
-    person.button("Show workcell-2").tap()
-    expect(person.button("Emergency stop: stop workcell-2")).to_be_visible()
+    shown = person.button("Emergency stop: stop workcell-2")
+    until(lambda: shown.is_visible() or person.button("Show workcell-2").tap(), what="the other cell's stop")
+    deny(person).tap()
+    expect(cards(person).get_by_label("Reason if denied")).to_be_focused()
+    expect(cards(person).get_by_label("Reason if denied")).to_be_in_viewport(ratio=1)
+    person.says_why()
     deny(person).tap()
     expect(rows(person)).to_have_count(3)
     expect(cards(person)).to_have_accessible_name(REST[1])

@@ -88,6 +88,7 @@ def test_a_link_that_goes_is_told_and_what_came_meanwhile_is_there_when_it_is_ba
             expect(person.page.get_by_role("article", name="Grasp mug_1")).to_be_visible()
             expect(person.alert("Link down.")).to_have_count(0)
             expect(person.page.locator(".live .stale")).to_have_count(0)
+            person.says_why()
             person.button(re.compile("^Deny")).click()
             assert floor.settled(asked["id"])["status"] == "denied"
 
@@ -159,9 +160,11 @@ def test_a_denial_is_sent_though_the_link_is_down_and_an_approval_is_not(
         expect(deny).to_be_enabled()
         assert not deny.evaluate(GREY)
         assert person.page.locator("article .terms").evaluate(GREY)
-        deny.click()
+        deny.click()  # and without a reason, which may be said where there is time for it
         expect(person.page.get_by_role("article").get_by_role("alert")).to_contain_text("No answer from the server")
         wire.mend()
+        expect(person.alert("Link down.")).to_have_count(0)
+        person.says_why()
         deny.click()
         assert floor.settled(asked["id"])["status"] == "denied"
 

@@ -59,6 +59,7 @@ def test_no_letter_decides_a_question_while_its_reader_drives(
     person.page.keyboard.up("ArrowDown")
     expect(card).not_to_contain_text("Seen by")
     assert server.get(f"/v1/invocations/{asked['id']}")["status"] == "awaiting_approval"
+    person.says_why()
     deny.click()
     assert floor.settled(asked["id"])["status"] == "denied"
 

@@ -3,7 +3,7 @@ import { ApiError, type Answer } from '../src/lib/api/client';
 import type { Escalation, List, LogEvent, Params, Verdict } from '../src/lib/api/documents';
 import { checkEdit, checkOf, mayApprove, readEdit, rowsOf } from '../src/lib/live/edit';
 import { ARM_MS } from '../src/lib/keys/arming.svelte';
-import { restrains, standingDenial } from '../src/lib/live/denials';
+import { restrains, standingDenial, unsaid } from '../src/lib/live/denials';
 import { another, coverOf } from '../src/lib/live/grants';
 import { Decision } from '../src/lib/live/decision.svelte';
 import { escalation, event, invocation } from './samples';
@@ -346,8 +346,13 @@ describe('the reason of a denial', () => {
   const [first, other] = ['unsafe', 'not_now'].map((code) => ({ code, says: code }));
 
   it('is one that the policy in force declares, or the denial would be refused', () => {
-    expect(['', 'not_now', 'dropped'].map((code) => standingDenial(code, escalation(), [first, other].flatMap((one) => one ?? [])))).toEqual(['unsafe', 'not_now', 'unsafe']);
+    expect(['', 'not_now', 'dropped'].map((code) => standingDenial(code, escalation(), [first, other].flatMap((one) => one ?? [])))).toEqual(['', 'not_now', '']);
     expect(standingDenial('not_now', escalation(), [])).toBe('not_now'); // where none is known, what was chosen stands
+  });
+
+  it('has to be said where there is more than one to choose from', () => {
+    const both = [first, other].flatMap((one) => one ?? []);
+    expect([unsaid('', both), unsaid('not_now', both), unsaid('', both.slice(1)), unsaid('', [])]).toEqual([true, false, false, false]);
   });
 
   it('restrains, unless what is denied is undone', () => {

@@ -12,7 +12,7 @@ interface Declared {
   message?: unknown;
 }
 
-/** Returns the codes that the policy in force declares; its first is the default. */
+/** Returns the codes that the policy in force declares; its first is the default, of who names none. */
 export function denialsOf(policy: PolicySet | null): Denial[] {
   const declared = policy?.authority?.denials;
   if (!Array.isArray(declared)) return [];
@@ -25,11 +25,16 @@ export function denialsOf(policy: PolicySet | null): Denial[] {
     });
 }
 
-/** The code that fits what is asked: a question about a person in the way is most often denied for that person. */
+/** The code that fits what is asked: a question about a person in the way is most often denied for that person. Else none. */
 export function likelyDenial(escalation: Escalation, denials: readonly Denial[]): string {
   const aboutPeople = escalation.reasons.some((reason) => /separation|person/.test(`${reason.rule} ${reason.code}`));
   const fitting = aboutPeople ? denials.find((denial) => denial.code === 'person_in_the_way') : undefined;
-  return (fitting ?? denials[0])?.code ?? '';
+  return fitting?.code ?? '';
+}
+
+/** Whether it has to be said yet why; where policy knows of no more than one reason, there is nothing to choose. */
+export function unsaid(chosen: string, denials: readonly Denial[]): boolean {
+  return chosen === '' && denials.length > 1;
 }
 
 /** The code that was chosen, as long as the policy in force declares it: another one would refuse the denial with it. */
