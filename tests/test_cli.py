@@ -601,3 +601,16 @@ def test_ctrl_c_before_the_command_began_ends_it_without_a_word(tmp_path: Path) 
     environment = {**os.environ, "PYTHONPATH": str(tmp_path)}
     ended = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=90)
     assert (ended.returncode, ended.stdout, ended.stderr) == (INTERRUPTED, "", "")
+
+
+def test_a_cell_starts_without_what_only_a_server_needs_and_with_one_thread_for_linear_algebra() -> None:
+    text = """
+import sys
+import app.cli, app.workcell
+with open("/proc/self/status") as status:
+    threads = next(line.split()[1] for line in status if line.startswith("Threads:"))
+print(threads, *sorted({"sqlalchemy", "httpx"} & set(sys.modules)))
+"""
+    given = {name: value for name, value in os.environ.items() if name != "OPENBLAS_NUM_THREADS"}
+    done = subprocess.run([sys.executable, "-c", text], env=given, capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["1"]

@@ -17,6 +17,7 @@ from app.audit.errors import RecordDamaged
 from app.audit.event import EventDraft
 from app.audit.merkle import Frontier, leaf_hash
 from app.audit.places import Places
+from app.audit.reader import COMPILED, Reader
 from app.audit.searching import Words
 from app.audit.store import AuditStore
 from app.audit.telemetry import TelemetryWriter, channels
@@ -319,3 +320,15 @@ async def test_compares_telemetry_files_with_the_log(store: AuditStore, data: Pa
     changed, gone = telemetry_problems(data)
     assert "b.mcap` is not the file that was recorded" in changed
     assert "No such file" in gone
+
+
+async def test_what_one_reader_asks_is_not_compiled_anew_for_the_next(store: AuditStore, data: Path) -> None:
+    await fill(store)
+    COMPILED.clear()
+    known: list[int] = []
+    for _ in range(2):
+        with closing(Reader(Places(data).database)) as reader:
+            assert len(reader.events(kind="proposal", limit=3)) == 3
+        known.append(len(COMPILED))
+    assert known[0] > 0
+    assert known[1] == known[0]

@@ -23,6 +23,7 @@ LISTENING = """
 """
 PUSHES = "window.jogs.filter((jog) => jog.grip !== null || [...jog.base, ...jog.tool].some(Boolean)).length"
 LET_GO = "Hold to run; let go to stop"
+STANDS_MPS, DRIVES_MPS = 0.01, 0.05
 SOON_MS = (150, 300)
 SIZES = pytest.mark.parametrize("size", [DESK, PHONE], ids=["desk", "phone"])
 
@@ -43,7 +44,7 @@ def offered(person: Person, size: dict[str, int]) -> Locator:
 def test_no_letter_decides_a_question_while_its_reader_drives(
     server: ServerProcess, people: People, floor: Floor
 ) -> None:
-    person = people.sit(server)
+    person = people.sit(server, init=LISTENING)
     asked = floor.ask()
     card, deny = person.page.get_by_role("article", name="Grasp mug_1"), person.button(re.compile("^Deny"))
     expect(card).to_be_visible()
@@ -58,6 +59,21 @@ def test_no_letter_decides_a_question_while_its_reader_drives(
         person.press(key)
     person.page.keyboard.up("ArrowDown")
     expect(card).not_to_contain_text("Seen by")
+    assert server.get(f"/v1/invocations/{asked['id']}")["status"] == "awaiting_approval"
+
+    # and a denial that asks why has the focus go to its list, with the key that drives still down
+    until(lambda: floor.speed() < STANDS_MPS, what="a base at rest")
+    expect(person.page.get_by_text(LET_GO)).to_be_visible()
+    person.page.keyboard.down("ArrowDown")
+    until(lambda: floor.speed() > DRIVES_MPS, what="a base that drives")
+    deny.click()
+    expect(person.page.get_by_label("Reason if denied")).to_be_focused()
+    person.page.keyboard.up("ArrowDown")
+    until(lambda: floor.speed() < STANDS_MPS, what="a base that was let go of")
+    pushed = person.page.evaluate(PUSHES)
+    person.press("ArrowDown")  # it is the list's here
+    person.press("Escape")
+    assert person.page.evaluate(PUSHES) == pushed
     assert server.get(f"/v1/invocations/{asked['id']}")["status"] == "awaiting_approval"
     person.says_why()
     deny.click()
