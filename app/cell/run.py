@@ -396,8 +396,9 @@ def seen_since(facts: WorldFacts, stamp_s: float) -> WorldFacts:
 def not_restored(began: WorldFacts, ended: WorldFacts, params: Params) -> tuple[str, ...]:
     """Name what a rollback did not bring back, judged by sensors; empty when it is verified.
 
-    Compared are the pose of the base, what the gripper holds, and the object that was handled: where it is, how high,
-    and whether it stands or lies as it did. An object that cannot be seen is not verified.
+    Compared are the pose of the base, what the gripper holds, the object that was handled (where it is, how high, and
+    whether it stands or lies as it did), and what the tool that was worked says of itself. What cannot be seen is not
+    verified.
     """
     x, y, yaw = ended.base
     x0, y0, yaw0 = began.base
@@ -411,6 +412,9 @@ def not_restored(began: WorldFacts, ended: WorldFacts, params: Params) -> tuple[
         now = ended.objects.get(handled)
         if now is None or not now.visible or not _as_it_was(was, now):
             missing.append("object_pose")
+    worked = params.get("tool")
+    if isinstance(worked, str) and ended.tools.get(worked) != began.tools.get(worked):
+        missing.append("tool_state")
     return tuple(missing)
 
 

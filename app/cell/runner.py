@@ -484,8 +484,8 @@ class Runner:
             if self._unpowered:
                 substrate.reset()
                 self._unpowered = False
-            began = substrate.facts()
             skill = self._prepared(grant)
+            began = substrate.facts()  # as they are for this session: what a switch remembers may have been another's
         except (SubstrateError, ValueError) as error:
             substrate.unbind()
             code = error.failure if isinstance(error, SubstrateError) else "no_plan"

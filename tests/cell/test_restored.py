@@ -51,3 +51,11 @@ def test_what_was_carried_in_is_back_in_the_hand_and_nowhere_else() -> None:
     carrying = replace(BEGAN, gripper_empty=False, holding="mug_1")
     assert not_restored(carrying, replace(carrying, objects={"mug_1": replace(MUG, z_m=1.2)}), MUG_1) == ()
     assert not_restored(carrying, BEGAN, MUG_1) == ("holding",)
+
+
+@pytest.mark.parametrize(("says", "restored"), [("up", True), ("between", False), ("down", False), (None, False)])
+def test_a_tool_that_was_worked_says_what_it_said(says: str | None, *, restored: bool) -> None:
+    began = replace(BEGAN, tools={"lever": "up", "press": "released"})
+    ended = replace(BEGAN, tools={"press": "pressed"} if says is None else {"lever": says, "press": "pressed"})
+    assert not_restored(began, ended, {"tool": "lever"}) == (() if restored else ("tool_state",))
+    assert not_restored(began, ended, MUG_1) == ()

@@ -144,6 +144,45 @@ def test_rollback_of_what_fell_over_when_it_was_put_back_has_failed(tmp_path: Pa
     assert not shop.cell.truth().upright["mug_1"]
 
 
+def at_the_tools(folder: Path) -> Workshop:
+    shop = Workshop(folder, profile="real-restricted")
+    shop.launch("navigate_to", target="tool_stand", speed_mps=0.6, clearance_m=0.3)
+    assert shop.finish()["outcome"] == "succeeded", shop.story()
+    return shop
+
+
+def rolled_back(shop: Workshop, number: int, action: str, tool: str, phase: str, after_ticks: int = 30) -> Any:
+    """Work a tool, have that rolled back midway, and return how it ended: None where a human is asked."""
+    shop.launch("operate_tool", number, tool=tool, action=action, force_n=40.0, speed_mps=0.15)
+    while shop.runner.session is not None and shop.runner.session.run.skill.report().phase != phase:
+        shop.runner.tick()
+    for _ in range(after_ticks):
+        shop.runner.tick()
+    assert shop.runner.human(f"inv-{number}", "rollback", "operator") is None
+    while shop.runner.status not in (None, "escalated"):
+        shop.runner.tick()
+    return shop.last("outcome")["outcome"] if shop.runner.status is None else None
+
+
+@pytest.mark.parametrize(("phase", "after_ticks", "says"), [("operate", 160, "between"), ("release", 30, "down")])
+def test_rollback_that_leaves_a_lever_elsewhere_has_failed(
+    phase: str, after_ticks: int, says: str, tmp_path: Path
+) -> None:
+    shop = at_the_tools(tmp_path)
+    assert rolled_back(shop, 2, "pull_down", "lever", phase, after_ticks) is None
+    assert shop.cell.tool_state("lever") == says
+    assert shop.last("recovery")["failure"] == "rollback_failed"
+    assert "tool_state" in shop.last("recovery")["unmet"]  # type: ignore[operator]  # a list of names
+
+
+def test_rollback_before_a_button_was_touched_is_one_whatever_the_session_before_did_to_it(tmp_path: Path) -> None:
+    shop = at_the_tools(tmp_path)
+    shop.launch("operate_tool", 2, tool="press", action="press", force_n=40.0, speed_mps=0.15)
+    assert shop.finish()["outcome"] == "succeeded", shop.story()
+    assert shop.cell.tool_state("press") == "pressed"
+    assert rolled_back(shop, 3, "press", "press", "approach") == "rolled_back", shop.story()
+
+
 def test_rollback_ends_where_the_session_began_whatever_recoveries_drove_in_between(tmp_path: Path) -> None:
     crate = fault("blocked", grasping("approach"), 6.0, **ELBOW)
     shop = Workshop(tmp_path, profile="test-audit", faults=(crate,))
