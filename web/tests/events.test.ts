@@ -98,6 +98,8 @@ describe('what a person orders', () => {
 
   it('is told of where a rollback failed', () => {
     expect(said(event('recovery', { failure: 'rollback_failed', strategy: 'ESCALATE', capability: null }))).toBe('It could not be undone and verified: escalate');
+    const left = { failure: 'rollback_failed', strategy: 'ASK_HUMAN', capability: null, unmet: ['base_pose', 'tool_state', 'arm_retracted'] };
+    expect(said(event('recovery', left))).toBe('It could not be undone and verified (the base stands elsewhere; the tool is not as it was; arm retracted): ask human');
     expect(said(event('outcome', { outcome: 'terminated', code: 'rollback_failed' }))).toBe('Terminated, rollback failed');
     expect(said(event('outcome', { outcome: 'taken_over', code: 'link' }))).toBe('Taken over, ended, as the cell had lost the server');
     expect(said(event('outcome', { outcome: 'taken_over', code: 'operator' }))).toBe('Taken over');

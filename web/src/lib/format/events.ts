@@ -187,11 +187,24 @@ function escalation(body: Body): Line {
 function recovery(body: Body): Line {
   const strategy = words(str(body['strategy']).toLowerCase());
   const capability = str(body['capability']);
-  if (str(body['failure']) === ROLLBACK_FAILED) return line('undo', 'danger', `: ${strategy.toLowerCase()}`, 'It could not be undone and verified');
+  if (str(body['failure']) === ROLLBACK_FAILED) return line('undo', 'danger', `${leftWords(body['unmet'])}: ${strategy.toLowerCase()}`, 'It could not be undone and verified');
   return line('undo', 'warn', capability === '' ? '' : `: ${words(capability).toLowerCase()}`, strategy);
 }
 
 const ROLLBACK_FAILED = 'rollback_failed';
+
+/** What a rollback did not bring back, by sensors. */
+const LEFT: Record<string, string> = {
+  base_pose: 'the base stands elsewhere',
+  holding: 'the gripper holds something else',
+  object_pose: 'the object is not as it stood, or out of sight',
+  tool_state: 'the tool is not as it was',
+};
+
+function leftWords(unmet: Json | undefined): string {
+  const left = Array.isArray(unmet) ? unmet.map((name) => entryOf(LEFT, str(name)) ?? words(str(name)).toLowerCase()) : [];
+  return left.length === 0 ? '' : ` (${left.join('; ')})`;
+}
 
 /** What only a cell says, in its own words; what else it says is an echo of what a person was heard to say. */
 const OF_THE_CELL: ReadonlySet<string> = new Set(['jog', 'let_go', 'confirm', 'end_takeover']);
