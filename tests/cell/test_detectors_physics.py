@@ -170,7 +170,7 @@ CASES = (
         rule="tracking",
         task=GRASP,
         faults=(fault("fade", grasping("approach", 0.6), strength=0.2),),
-        truly=lambda shop: off_command_rad(shop) > 0.1,
+        truly=lambda shop: off_command_rad(shop) > 0.08,
     ),
     Case(
         rule="base-tracking",  # a crate too high for the cameras to take it for an obstacle on the floor

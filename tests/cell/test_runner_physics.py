@@ -357,3 +357,18 @@ def test_an_arm_that_falls_from_its_drives_is_caught_before_it_falls_onto_the_be
     assert (shop.last("outcome")["outcome"], shop.last("outcome")["code"]) == ("fault", "not_held"), shop.story()
     assert worst_n < 20.0
     assert shop.cell.truth().tcp_m[2] > fell_from_m - 0.04
+
+
+@pytest.mark.parametrize("profile", ["sim-relaxed", "test-audit"])
+def test_an_arm_that_falls_slower_than_it_may_move_is_caught_above_the_bench(tmp_path: Path, profile: str) -> None:
+    # Where 1 m/s is allowed, no limit speaks of a fall before it ends. That the arm is not where it is told to be does.
+    fade = Fault(kind="fade", at=grasping("approach", after_s=0.2), sizes={"strength": 0.15})
+    shop = Workshop(tmp_path, profile=profile, faults=(fade,))
+    shop.launch("grasp_object", object_id="mug_1", force_n=40.0, speed_mps=1.0)
+    worst_n = 0.0
+    for _ in range(400):
+        shop.runner.tick()
+        worst_n = max(worst_n, shop.cell.truth().contact_force_n)
+    assert (shop.last("outcome")["outcome"], shop.last("outcome")["code"]) == ("fault", "not_held"), shop.story()
+    assert shop.rules()[0] == "tracking"
+    assert worst_n < 20.0
