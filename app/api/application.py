@@ -48,9 +48,13 @@ An agent proposes, Reins decides, a cell acts under watch, and a record stands.
 
 Bearer tokens carry a role; every operation names the roles that may use it. A refusal of a *proposal* is an ordinary
 answer with reasons; a refusal of a *request* is a problem (RFC 9457) with a stable `code`. Bodies are strict JSON of at
-most 256 kB and 10,000 values: unknown fields, keys given twice, NaN and numbers beyond double precision are refused.
-Lists are `{items, next}`; give `next` back as `cursor` (or `after`, in the log). HEAD answers as GET does, without the
-body.
+most 256 kB (4 MB for a candidate policy) and 10,000 values: unknown fields, keys given twice, NaN and numbers beyond
+double precision are refused. Lists are `{items, next}`; give `next` back as `cursor` (or `after`, in the log). HEAD
+answers as GET does, without the body.
+
+What no operation describes: a path there is not is answered with 404 `not_found`; a method that a path does not know
+with 405 `method_not_allowed`, and `Allow` names those it does; what should open a websocket and cannot, with 400
+`handshake_invalid`.
 """
 
 

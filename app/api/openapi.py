@@ -28,7 +28,14 @@ REFERENCE = "#/components/schemas/{model}"
 BODIES: dict[str, type[BaseModel]] = {}
 """What routes take, by the name that they refer to: `declare` enters it, so that no reference leads nowhere."""
 
-ON_EVERY_ROUTE = ("internal", "row_unreadable", "record_damaged", "given_twice")
+ON_EVERY_ROUTE = (
+    "internal",
+    "row_unreadable",
+    "record_damaged",
+    "given_twice",
+    "http_malformed",
+    "head_too_large",
+)
 ON_GUARDED = ("token_missing", "token_invalid", "token_expired", "role_forbidden", "record_unavailable")
 WITH_PROBLEMS: Mapping[int, Mapping[str, str]] = {
     401: {"WWW-Authenticate": "What the request needs: a bearer token (RFC 6750, 3)."},
@@ -38,6 +45,7 @@ WITH_PROBLEMS: Mapping[int, Mapping[str, str]] = {
 ON_READING = ("request_invalid",)  # by a query that the route does not know
 ON_BODY = (
     "body_incomplete",
+    "body_late",
     "body_too_large",
     "media_type_unsupported",
     "encoding_unsupported",

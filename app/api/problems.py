@@ -57,7 +57,7 @@ CODES: Mapping[str, tuple[int, str]] = {
     "telemetry_unknown": (404, "the invocation left no such telemetry file"),
     "method_not_allowed": (405, "the path does not know the method"),
     "body_late": (408, "a part of the body was waited for in vain; the connection ends"),
-    "body_too_large": (413, "the body is over 256 kB"),
+    "body_too_large": (413, "the body is over 256 kB, or that of a candidate policy over 4 MB"),
     "head_too_large": (431, "what is no body, header fields mostly, is over 64 kB; the connection ends"),
     "media_type_unsupported": (415, "the body is not `application/json`"),
     "encoding_unsupported": (415, "the body is compressed; it is read as it is alone"),

@@ -8,6 +8,7 @@ import jsonschema_rs
 import orjson
 import pytest
 
+from app.api.problems import CODES, MEDIA_TYPE
 from tests.api.conftest import House
 
 pytestmark = pytest.mark.anyio
@@ -36,3 +37,22 @@ async def test_the_headers_that_a_program_reads_are_described(house: House) -> N
         assert {name.lower() for name in said} == {
             name for name in answer.headers if name in ("location", "idempotency-replayed", "www-authenticate")
         }
+
+
+async def test_every_code_that_an_answer_may_bear_stands_in_the_document(house: House) -> None:
+    async with house.client(None) as client:
+        document = (await client.get("/openapi.json")).json()
+    operations = [operation for path in document["paths"].values() for operation in path.values()]
+    everywhere = {code for code in CODES if f"`{code}`" in document["info"]["description"]}
+    codes = [
+        {
+            code
+            for answer in operation["responses"].values()
+            for code in answer.get("content", {}).get(MEDIA_TYPE, {}).get("examples", ())
+        }
+        for operation in operations
+    ]
+    assert set.union(everywhere, *codes) == set(CODES)
+    for operation, described in zip(operations, codes, strict=True):
+        assert described >= {"http_malformed", "head_too_large"}, "of what no route has looked at yet"
+        assert ("body_late" in described) == ("requestBody" in operation)
