@@ -49,6 +49,13 @@ EVENTS = "/v1/events"
 STREAM = "text/event-stream"
 MCAP = "application/octet-stream"
 MAX_ROWS = 5000
+LAST_EVENT_ID = {
+    "name": "Last-Event-ID",
+    "in": "header",
+    "required": False,
+    "description": "The `id` of the last event that was taken, as clients of server-sent events send it.",
+    "schema": {"type": "string", "pattern": rf"^[0-9]{{1,{MAX_DIGITS}}}$"},
+}
 
 
 class PartQuery(BaseModel):
@@ -316,4 +323,5 @@ def register(router: APIRouter) -> None:
             media_type=STREAM,
             codes=("request_invalid", "too_many_streams"),
         ),
+        parameters=[LAST_EVENT_ID],
     )

@@ -39,6 +39,7 @@ ON_EVERY_ROUTE = (
 ON_GUARDED = ("token_missing", "token_invalid", "token_expired", "role_forbidden", "record_unavailable")
 WITH_PROBLEMS: Mapping[int, Mapping[str, str]] = {
     401: {"WWW-Authenticate": "What the request needs: a bearer token (RFC 6750, 3)."},
+    415: {"Accept-Encoding": "`identity`; stands with `encoding_unsupported` alone (RFC 9110, 15.5.16)."},
     503: {"Retry-After": "After how many seconds to ask again; left out where nobody knows."},
 }
 """The headers that come with problems, by status."""

@@ -32,11 +32,17 @@ async def test_the_headers_that_a_program_reads_are_described(house: House) -> N
     async with house.client("agent") as agent:
         body = {"capability": "fly", "params": {}}
         made = [await agent.post("/v1/invocations", json=body, headers={"Idempotency-Key": "k"}) for _ in range(2)][1]
-    for answer, path, method in ((stranger, "/v1/cells", "get"), (made, "/v1/invocations", "post")):
+        packed = await agent.post("/v1/check", json=body, headers={"Content-Encoding": "gzip"})
+    answers = ((stranger, "/v1/cells", "get"), (made, "/v1/invocations", "post"), (packed, "/v1/check", "post"))
+    for answer, path, method in answers:
         said = document["paths"][path][method]["responses"][str(answer.status_code)]["headers"]
         assert {name.lower() for name in said} == {
-            name for name in answer.headers if name in ("location", "idempotency-replayed", "www-authenticate")
+            name
+            for name in answer.headers
+            if name in ("location", "idempotency-replayed", "www-authenticate", "accept-encoding")
         }
+    parameters = document["paths"]["/v1/events"]["get"]["parameters"]
+    assert ("Last-Event-ID", "header") in {(parameter["name"], parameter["in"]) for parameter in parameters}
 
 
 async def test_every_code_that_an_answer_may_bear_stands_in_the_document(house: House) -> None:
