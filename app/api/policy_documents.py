@@ -113,7 +113,7 @@ class TransitionDocument(Document):
     decided: bool = Field(description="What could not be decided counts as a loosening, and has no example.")
     message: str
     example: str = Field(description="A case file (YAML); what it expects is what this version does.")
-    body: dict[str, Any] = Field(description="The example's proposal, as a body of `POST /v1/check`.")
+    body: dict[str, Any] = Field(description="The example's proposal, as a body with which people `POST /v1/check`.")
 
 
 class ComparisonDocument(Document):

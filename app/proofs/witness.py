@@ -20,7 +20,7 @@ import yaml
 import z3
 from pydantic import ValidationError
 
-from app.governance.bundle_shapes import CaseShape
+from app.governance.bundle_shapes import CaseShape, ContextShape
 from app.governance.cases import asking, run
 from app.governance.decision import decide
 from app.governance.policy_model import GOVERNANCE
@@ -317,4 +317,6 @@ def written(policy: PolicySet, case: Case, name: str) -> tuple[str, Case]:
         raise WritingError(f"{text}\n{result.differences}")
     body = {key: held for key, held in kept.items() if key in ("capability", "mode", "metadata")}
     body["params"] = case["params"]
+    context = kept.get("context", {})
+    body["agent"] = context.get("agent", ContextShape().agent)  # people, who alone are shown examples, have to name one
     return text, body

@@ -12,6 +12,7 @@ import pytest
 import yaml
 from typer.testing import CliRunner
 
+from app.api.wire import CheckBody
 from app.cli import app
 from app.governance import bundle, cases
 from app.governance.changes import Comparison, Direction
@@ -201,7 +202,10 @@ def test_every_example_holds_as_a_case_of_the_new_policy_and_its_body_is_a_propo
         (was,) = cases.run(loaded(), {"tests/shown.yaml": one.example})
         assert not was.passed, one.message
         assert one.body["capability"] == one.capability
-        assert yaml.safe_load(one.example)["cases"][0].get("params", {}) == one.body["params"]
+        (case,) = yaml.safe_load(one.example)["cases"]
+        assert case.get("params", {}) == one.body["params"]
+        body = CheckBody.model_validate(dict(one.body))
+        assert body.agent == case.get("context", {}).get("agent", "planner"), "people have to name one"
 
 
 def test_what_cannot_be_decided_is_said_so_and_loosens() -> None:
