@@ -141,14 +141,16 @@ def listen(host: str, port: int) -> socket.socket:
         raise ConfigError("host and port", f"{host}:{port}", valid) from error
 
 
-def kernel_key(path: Path) -> Ed25519PrivateKey:
-    """Return the key that authorizations are signed with; the first start makes it (mode 0600).
+def kernel_key(path: Path, *, first: bool) -> Ed25519PrivateKey:
+    """Return the key that authorizations are signed with; the `first` start makes it (mode 0600).
 
     Raises:
-        ConfigError: the file is no key, or others may read it.
+        ConfigError: the file is no key, others may read it, or it is gone: no cell would take what another one signs.
         OSError: it cannot be read or written.
     """
     if not path.exists():
+        if not first:
+            raise ConfigError("kernel.key", "missing", f"`{path}` restored: it is the key that every cell knows")
         write_private(path, secrets.token_bytes(KEY_BYTES))
     seed = path.read_bytes()
     if path.stat().st_mode & 0o077 or len(seed) != KEY_BYTES:
@@ -241,7 +243,7 @@ async def open_house(
         runtime = Runtime(
             store,
             policies,
-            kernel_key(layout.kernel_key),
+            kernel_key(layout.kernel_key, first=not store.size),
             default_profile=settings.profile,
             examine=examine,
             promises=promises,

@@ -189,6 +189,17 @@ def test_a_start_that_is_refused_leaves_nothing_behind(
         assert not (tmp_path / "data").exists()
 
 
+def test_a_start_without_the_key_that_every_cell_knows_is_refused_and_makes_no_other(servers: Servers) -> None:
+    server = servers.start(None, cells=0)
+    server.stop()
+    key = server.data / "kernel.key"
+    key.unlink()
+    again = reins("serve", "--port", "0", "--cells", "0", "--data", str(server.data))
+    assert again.returncode == 2
+    assert f"`{key}` restored" in again.stderr.replace("\n", "")
+    assert not key.exists()
+
+
 def test_an_auditor_verifies_beside_the_running_server(server: ServerProcess) -> None:
     code, said = run("audit", "verify", "--data", str(server.data))
     assert code == 0
