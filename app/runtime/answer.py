@@ -2,7 +2,8 @@
 
 What is approved is exactly what was shown. An edit is decided again; it voids earlier approvals, and where policy
 constrains the edit further, the constrained proposal is a new question. With the last approval the proposal is decided
-once more, because the world went on while people thought.
+once more, because the world went on while people thought. Where policy has people asked by then for what nobody was
+shown, that is a new question as well: no approval was of it.
 
 Answering a session's question: *approve* lets it go on (recorded first, and only to a cell that is there), *deny* ends
 it as policy says: it comes to rest (sent first), or is undone (recorded first).
@@ -12,20 +13,32 @@ from __future__ import annotations
 
 from contextlib import suppress
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, NoReturn
 
 from app.audit.event import EventDraft
+from app.clock import rfc3339
 from app.governance.model import EventKind, Outcome, Status
 from app.protocol import Human
-from app.runtime.drafts import DENIAL, SERVER, decided_again, grant_event, outcome_event, reason, with_edit, with_reason
+from app.runtime.drafts import (
+    DENIAL,
+    SERVER,
+    decided_again,
+    escalation_event,
+    grant_event,
+    outcome_event,
+    reason,
+    with_edit,
+    with_reason,
+)
 from app.runtime.errors import Conflict, InvalidParams
 from app.runtime.escalation import APPROVED, DENIED, ROLLBACK, bound_digest
 from app.runtime.invocation import reasons_document
 from app.runtime.readmission import lapsed, readmitted
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
 
+    from app.governance.model import ApprovalNeed
     from app.governance.policy_model import Denial
     from app.runtime.cells import Cell, Moment
     from app.runtime.escalation import Escalation
@@ -101,7 +114,7 @@ class Answer:
             raise _edit_refused(judgement)
         effective = judgement.effective(filled)
         self._note_edit(judgement)
-        now, bound = self._register.now(), bound_digest(self._invocation, effective)
+        now, bound = self._register.now(), bound_digest(self._invocation, effective, why=self._why())
         edit = {"by": self._principal.name, "at": now, "params": effective, "digest": bound}
         edited = self._escalation.evolve(
             now,
@@ -117,6 +130,11 @@ class Answer:
         # Policy constrained the edit further: nobody has seen that, so nobody has approved it.
         await self._commit_pending(edited, "edit")
         return edited
+
+    def _why(self) -> list[str]:
+        """Return the codes that a question is bound to: those it has been asked anew for, since it came; else none."""
+        present = self._escalation
+        return [] if present.digest == bound_digest(self._invocation, present.effective) else _codes(present.reasons)
 
     def _asked_for(self, judgement: Judgement) -> dict[str, Any]:
         """Return how many people authority wants now, and why; never fewer than it wanted when it asked first."""
@@ -145,6 +163,8 @@ class Answer:
     async def _conclude(self, counted: Escalation, judgement: Judgement) -> Escalation:
         """Launch, if the proposal still conforms in the world as it is now; otherwise say what changed."""
         need = judgement.need
+        if need is not None and judgement.conforms(counted.effective) and _unsaid(need, counted):
+            await self._ask_anew(counted, need, self._asked_for(judgement))
         if need is not None and need.approvers > len(counted.approvals):
             stricter = counted.evolve(self._register.now(), **self._asked_for(judgement))
             await self._commit_pending(stricter, "approve")
@@ -189,6 +209,28 @@ class Answer:
             )
         self._questions.grants.hold(*given)
         return closed
+
+    async def _ask_anew(self, counted: Escalation, need: ApprovalNeed, asking: Mapping[str, Any]) -> NoReturn:
+        """Ask for what policy wants a human to look at by now, and nobody was shown; what was said is no word on that.
+
+        Raises:
+            Conflict: `digest_mismatch`, always.
+            RecordUnavailable: nothing is asked anew; the next answer meets the same.
+        """
+        now = self._register.now()
+        bound = bound_digest(self._invocation, counted.effective, why=_codes(asking["reasons"]))
+        asked = counted.evolve(
+            now,
+            digest=bound,
+            approvals=(),
+            acknowledged=(),
+            expires_at=rfc3339(self._register.now_s() + need.within_s),
+            **asking,
+        )
+        shown = self._invocation.evolve(now, escalation=asked.reference())
+        await self._questions.commit([escalation_event(asked)], asked, shown)
+        message = "policy has people asked for something else by now; valid is to read the question again first"
+        raise Conflict("digest_mismatch", message, reasons=asking["reasons"])
 
     def _granting(self, closed: Escalation) -> tuple[Escalation, tuple[Standing, ...]]:
         if self._grant is None:
@@ -278,6 +320,16 @@ class Answer:
             invocation=self._invocation.id,
             body={"decision": decision, "escalation": escalation.public(), "comment": self._comment, **edited},
         )
+
+
+def _codes(reasons: Sequence[Mapping[str, str]]) -> list[str]:
+    return [why["code"] for why in reasons]
+
+
+def _unsaid(need: ApprovalNeed, shown: Escalation) -> bool:
+    """Say whether people would be asked for something that a question does not say."""
+    said = {(why["rule"], why["code"]) for why in shown.reasons}
+    return any((why.rule, why.code) not in said for why in need.reasons)
 
 
 def _edit_refused(judgement: Judgement) -> Conflict:

@@ -484,6 +484,50 @@ async def test_an_approval_that_finds_the_cell_busy_defers(runtime: Runtime, cel
     assert len(cell.all("launch")) == 1
 
 
+async def test_an_approval_is_no_answer_to_what_policy_asks_about_since(runtime: Runtime, cell: HandCell) -> None:
+    """Whoever approved a carry of the mug was never shown that a box near the payload limit wants a human's look."""
+    cell.facts = {**AT_BENCH, "gripper_empty": False, "holding": "mug_1"}
+    await cell.state()
+    await runtime.governor.set_profile(CELL, "real-restricted", OPERATOR)
+    carry = ProposalRequest(capability="transport_object", params={"target": "dock"}, metadata={"confidence": 0.2})
+    document, question = await asked(runtime, carry)
+    assert "payload_margin" not in {reason["code"] for reason in question["reasons"]}
+    cell.facts = {**cell.facts, "holding": "box_1"}
+    await cell.state()
+
+    with pytest.raises(Conflict) as found:
+        await answer(runtime, question)
+    assert found.value.code == "digest_mismatch"
+    assert "payload_margin" in {reason["code"] for reason in found.value.reasons}
+    assert not cell.all("launch")
+    anew = await runtime.desk.get(question["id"])
+    assert (anew["status"], anew["approvals"], anew["effective"]) == ("pending", [], question["effective"])
+    assert {"low_confidence", "payload_margin"} <= {reason["code"] for reason in anew["reasons"]}
+    assert anew["expires_at"] > question["expires_at"]
+    assert (await runtime.governor.invocation(document["id"], AGENT))["status"] == "awaiting_approval"
+
+    assert await refusal(runtime, question, who=OPERATOR_2) == "digest_mismatch"  # nor is anybody else's of before
+    assert (await answer(runtime, anew))["status"] == "approved"
+    (launch,) = cell.all("launch")
+    assert launch
+
+
+async def test_an_edit_leads_no_old_answer_back_to_what_is_asked_anew(runtime: Runtime, cell: HandCell) -> None:
+    cell.facts = {**AT_BENCH, "gripper_empty": False, "holding": "mug_1"}
+    await cell.state()
+    await runtime.governor.set_profile(CELL, "real-restricted", OPERATOR)
+    carry = ProposalRequest(capability="transport_object", params={"target": "dock"}, metadata={"confidence": 0.2})
+    _, question = await asked(runtime, carry)
+    cell.facts = {**cell.facts, "holding": "box_1"}
+    await cell.state()
+    assert await refusal(runtime, question) == "digest_mismatch"
+    anew = await runtime.desk.get(question["id"])
+    back = await answer(runtime, anew, params={"clearance_m": 0.1})  # which policy raises to what was asked
+    assert (back["status"], back["effective"]) == ("pending", question["effective"])
+    assert await refusal(runtime, question, who=OPERATOR_2) == "digest_mismatch"
+    assert not cell.all("launch")
+
+
 async def test_a_question_is_put_anew_when_its_cell_comes_under_a_stricter_profile(
     runtime: Runtime, cell: HandCell
 ) -> None:
