@@ -114,7 +114,8 @@ class Answer:
             raise _edit_refused(judgement)
         effective = judgement.effective(filled)
         self._note_edit(judgement)
-        now, bound = self._register.now(), bound_digest(self._invocation, effective, why=self._why())
+        now, asking = self._register.now(), self._asked_for(judgement)
+        bound = self._bound(effective, self._why(asking))
         edit = {"by": self._principal.name, "at": now, "params": effective, "digest": bound}
         edited = self._escalation.evolve(
             now,
@@ -123,7 +124,7 @@ class Answer:
             # What others approved is what is asked still, where policy cut the edit back to it.
             approvals=self._escalation.approvals if bound == self._escalation.digest else (),
             edits=(*self._escalation.edits, edit),
-            **self._asked_for(judgement),
+            **asking,
         )
         if effective == filled:
             return await self._count(edited, judgement)
@@ -131,10 +132,21 @@ class Answer:
         await self._commit_pending(edited, "edit")
         return edited
 
-    def _why(self) -> list[str]:
-        """Return the codes that a question is bound to: those it has been asked anew for, since it came; else none."""
+    def _bound(self, effective: Mapping[str, Any], why: Sequence[str] = ()) -> str:
+        """Return the digest that an approval of these parameters is bound to as the world is now."""
+        carried = self._kernel.carried(self._invocation, effective)
+        return bound_digest(self._invocation, effective, why=why, carried=carried)
+
+    def _why(self, asking: Mapping[str, Any]) -> list[str]:
+        """Return the codes that an edit is bound to: those it asks for, where its question has been asked anew."""
         present = self._escalation
-        return [] if present.digest == bound_digest(self._invocation, present.effective) else _codes(present.reasons)
+        as_it_came = present.digest == self._bound(present.effective)
+        return [] if as_it_came else _codes(asking.get("reasons", present.reasons))
+
+    def _outlived(self, need: ApprovalNeed, counted: Escalation) -> bool:
+        """Say whether a question does not say what people would be asked by now, or was about another object."""
+        bound = {self._bound(counted.effective, why) for why in ([], _codes(counted.reasons))}
+        return _unsaid(need, counted) or counted.digest not in bound
 
     def _asked_for(self, judgement: Judgement) -> dict[str, Any]:
         """Return how many people authority wants now, and why; never fewer than it wanted when it asked first."""
@@ -163,7 +175,7 @@ class Answer:
     async def _conclude(self, counted: Escalation, judgement: Judgement) -> Escalation:
         """Launch, if the proposal still conforms in the world as it is now; otherwise say what changed."""
         need = judgement.need
-        if need is not None and judgement.conforms(counted.effective) and _unsaid(need, counted):
+        if need is not None and judgement.conforms(counted.effective) and self._outlived(need, counted):
             await self._ask_anew(counted, need, self._asked_for(judgement))
         if need is not None and need.approvers > len(counted.approvals):
             stricter = counted.evolve(self._register.now(), **self._asked_for(judgement))
@@ -211,14 +223,14 @@ class Answer:
         return closed
 
     async def _ask_anew(self, counted: Escalation, need: ApprovalNeed, asking: Mapping[str, Any]) -> NoReturn:
-        """Ask for what policy wants a human to look at by now, and nobody was shown; what was said is no word on that.
+        """Ask about what policy wants a human to look at by now, and nobody was shown; nothing said is a word on that.
 
         Raises:
             Conflict: `digest_mismatch`, always.
             RecordUnavailable: nothing is asked anew; the next answer meets the same.
         """
         now = self._register.now()
-        bound = bound_digest(self._invocation, counted.effective, why=_codes(asking["reasons"]))
+        bound = self._bound(counted.effective, _codes(asking["reasons"]))
         asked = counted.evolve(
             now,
             digest=bound,
@@ -229,7 +241,7 @@ class Answer:
         )
         shown = self._invocation.evolve(now, escalation=asked.reference())
         await self._questions.commit([escalation_event(asked)], asked, shown)
-        message = "policy has people asked for something else by now; valid is to read the question again first"
+        message = "people are asked about something else by now; valid is to read the question again first"
         raise Conflict("digest_mismatch", message, reasons=asking["reasons"])
 
     def _granting(self, closed: Escalation) -> tuple[Escalation, tuple[Standing, ...]]:

@@ -176,7 +176,12 @@ def read_escalation(document: bytes) -> Escalation:
 
 
 def bound_digest(
-    invocation: Invocation, effective: Mapping[str, Any], phase: str | None = None, why: Sequence[str] = ()
+    invocation: Invocation,
+    effective: Mapping[str, Any],
+    phase: str | None = None,
+    why: Sequence[str] = (),
+    *,
+    carried: str | None = None,
 ) -> str:
     """Return the digest that an approval of these parameters is bound to.
 
@@ -195,5 +200,6 @@ def bound_digest(
             "params": dict(effective),
             **({} if phase is None else {"phase": phase}),
             **({"why": list(why)} if why else {}),
+            **({} if carried is None else {"carried": carried}),
         }
     )

@@ -17,6 +17,7 @@ import orjson
 from app.audit.event import EventDraft, RowWrite
 from app.clock import monotonic_s
 from app.governance.admission import RETRY_UNMET_S
+from app.governance.authority import handled
 from app.governance.control import TAKEOVER
 from app.governance.coverage import covered_recoveries
 from app.governance.decision import Decision, decide
@@ -326,6 +327,12 @@ class Kernel:
             grants=self.standing(cell),
         )
         return Judgement(decide(policy, proposal, context), policy, profile, proposal, context)
+
+    def carried(self, invocation: Invocation, params: Mapping[str, Any]) -> str | None:
+        """Return the object in the gripper where that is what an invocation handles: no parameter of it names one."""
+        context = self.context(invocation.capability, invocation.agent, invocation)
+        found = handled(self.policy, invocation.proposal(params), context)
+        return None if found in params.values() else found
 
     def context(self, capability: str, agent: str, within: Invocation, *, profile: str | None = None) -> Context:
         """Return Γ_t as it is now around an invocation that is there already, and is not in its own way."""

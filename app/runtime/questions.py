@@ -125,6 +125,7 @@ class Questions:
     def _build(self, invocation: Invocation, **fields: Any) -> Escalation:  # noqa: ANN401  # fields of an escalation
         effective = invocation.requested if invocation.effective is None else invocation.effective
         now = self.register.now()
+        carried = self.kernel.carried(invocation, effective) if fields["kind"] == APPROVAL else None
         return Escalation(
             id=self.kernel.identities.make("esc"),
             invocation=invocation.id,
@@ -135,7 +136,7 @@ class Questions:
             requested=invocation.requested,
             constrained=effective,
             effective=effective,
-            digest=bound_digest(invocation, effective, fields.get("phase")),
+            digest=bound_digest(invocation, effective, fields.get("phase"), carried=carried),
             names_task=invocation.task is not None,
             goal=stated(invocation.goal),
             task=stated(invocation.task),

@@ -393,7 +393,7 @@ class Succession:
         decided = invocation.evolve(
             now, effective=effective, status=Status.AWAITING_APPROVAL, outcome=None, **judgement.parts()
         )
-        bound = bound_digest(decided, effective)
+        bound = bound_digest(decided, effective, carried=self._kernel.carried(decided, effective))
         asked = question.evolve(
             now,
             constrained=effective if not question.edits else question.constrained,

@@ -512,6 +512,26 @@ async def test_an_approval_is_no_answer_to_what_policy_asks_about_since(runtime:
     assert launch
 
 
+async def test_an_approval_of_one_load_is_none_of_another(runtime: Runtime, cell: HandCell) -> None:
+    """No parameter of a carry names what is carried: it is what the gripper holds."""
+    cell.facts = {**AT_BENCH, "gripper_empty": False, "holding": "mug_1"}
+    await cell.state()
+    carry = ProposalRequest(capability="transport_object", params={"target": "dock"})
+    _, question = await asked(runtime, carry)
+    cell.facts = {**cell.facts, "holding": "driver_1"}
+    await cell.state()
+    assert await refusal(runtime, question) == "digest_mismatch"
+    assert not cell.all("launch")
+    anew = await runtime.desk.get(question["id"])
+    assert (anew["status"], anew["approvals"], anew["reasons"]) == ("pending", [], question["reasons"])
+    assert await refusal(runtime, question, who=OPERATOR_2) == "digest_mismatch"
+    cell.facts = {**cell.facts, "holding": "mug_1"}
+    await cell.state()
+    assert await refusal(runtime, anew) == "digest_mismatch"  # nor is that one's of what is held by now
+    assert (await answer(runtime, await runtime.desk.get(question["id"])))["status"] == "approved"
+    assert len(cell.all("launch")) == 1
+
+
 async def test_an_edit_leads_no_old_answer_back_to_what_is_asked_anew(runtime: Runtime, cell: HandCell) -> None:
     cell.facts = {**AT_BENCH, "gripper_empty": False, "holding": "mug_1"}
     await cell.state()
