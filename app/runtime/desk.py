@@ -311,8 +311,12 @@ class Desk(Questions):
 
     async def _expire_approval(self, present: Escalation, invocation: Invocation) -> None:
         now = self.register.now()
-        closed = present.evolve(now, status=EXPIRED)
-        because = reason(RULE, "approval_expired", "nobody answered in time", "propose again when somebody is on duty")
+        void = self._void(present)
+        left = present.evolve(now, approvals=self.approvals(present))
+        closed = left.evolve(now, status=EXPIRED)
+        asked_one = present.needed == 1 and not present.edits
+        silence = "nobody answered in time" if asked_one else "too few people approved this in time"
+        because = reason(RULE, "approval_expired", silence, "propose again when somebody is on duty")
         ended = invocation.evolve(
             now,
             status=Status.DENIED,
@@ -320,7 +324,8 @@ class Desk(Questions):
             escalation=closed.reference(),
             policy=with_reason(invocation.policy, because),
         )
-        await self.commit([escalation_event(closed), outcome_event(ended, SERVER, because)], closed, ended)
+        taken_off = [voided_event(left, void, invocation)] if void else []
+        await self.commit([*taken_off, escalation_event(closed), outcome_event(ended, SERVER, because)], closed, ended)
 
     async def _withdraw_stray(self, escalation_id: str) -> None:
         """Withdraw a question whose invocation has ended without it: no answer to it could mean anything.

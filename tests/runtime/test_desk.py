@@ -274,6 +274,27 @@ async def test_who_may_approve_no_more_once_their_turn_comes_launches_nothing(
     assert runtime.desk.pending_for(made["id"]) is not None
 
 
+@pytest.mark.parametrize("withdrawn", [False, True])
+async def test_what_lapses_with_too_few_approvals_says_so_and_keeps_none_that_counts_no_more(
+    house: House, runtime: Runtime, cell: HandCell, withdrawn: bool
+) -> None:
+    cell.facts = dict(AT_TOOLS)
+    await cell.state()
+    made, question = await asked(runtime, press())
+    await answer(runtime, question)
+    if withdrawn:
+        house.withdrawn.add(OPERATOR.name)
+    house.wall_s.offset_s = 121.0  # nobody has looked at the question in between
+    await until(lambda: not runtime.desk.pending())
+    over = await runtime.desk.get(question["id"])
+    assert (over["status"], len(over["approvals"])) == ("expired", 0 if withdrawn else 1)
+    ended = await runtime.governor.invocation(made["id"], AGENT)
+    (why,) = [reason for reason in ended["policy"]["reasons"] if reason["code"] == "approval_expired"]
+    assert why["message"] == "too few people approved this in time"
+    approvals = await runtime.register.store.events(invocation=made["id"], kind=EventKind.APPROVAL)
+    assert [event.payload()["decision"] for event in approvals] == ["approve", "void"][: 1 + withdrawn]
+
+
 async def test_an_edit_voids_earlier_approvals_and_gets_a_new_digest(runtime: Runtime, cell: HandCell) -> None:
     cell.facts = dict(AT_TOOLS)
     await cell.state()
