@@ -64,6 +64,15 @@ describe('a question that others closed', () => {
     ]);
   });
 
+  it('that lapsed after an approval was taken off is not said to have had no answer', () => {
+    const asked = escalation({ id: 'esc_1', needed: 2 });
+    const taken = event('approval', { decision: 'void', givers: ['ann'], escalation: { id: 'esc_1', status: 'pending', needed: 2, approvals: [] } }, 'inv_1', 'server');
+    const over = event('escalation', { escalation: { id: 'esc_1', status: 'expired', needed: 2, approvals: [] } }, 'inv_1', 'server');
+    expect(words([asks('pending'), about('pending', 'approve'), taken, over])).toBe('0 of 2 approved when the time was over.');
+    expect(lapseWords({ asked, at: over.at }, false, [taken, over])).toContain('0 of 2 approved');
+    expect(lapseWords({ asked, at: over.at }, false, [over])).toContain('nobody answered');
+  });
+
   it('because its cell was put under another profile, or another policy came, says so and what came of it', () => {
     const gone = (renewed: string): LogEvent => event('escalation', { escalation: { id: 'esc_1', status: 'withdrawn', kind: 'approval', cell: 'workcell-1', renewed } });
     const put = (cell: string, by: string): LogEvent => event('profile_changed', { cell, before: 'human-shared', profile: 'fenced' }, null, by);

@@ -54,11 +54,16 @@ export function endWords(events: readonly LogEvent[], asked: Asked): string {
   return events.some((event) => idOf(event) === asked.id) ? 'It was withdrawn.' : 'Audit tells what became of it.';
 }
 
+/** Whether anybody said something to a question, whatever became of it: an approval may count no more by the end. */
+function heard(events: readonly LogEvent[], { id }: Pick<Escalation, 'id'>): boolean {
+  return events.some((event) => event.kind === 'approval' && idOf(event) === id);
+}
+
 /** Says what lapsed, and where, if there are several cells. What the gripper held then, nobody knows by now. */
-export function lapseWords({ asked, at }: Lapse, several: boolean): string {
+export function lapseWords({ asked, at }: Lapse, several: boolean, events: readonly LogEvent[] = []): string {
   const { approvals, needed, cell } = asked;
   const where = several && cell != null ? ` in ${cell}` : '';
-  const given = approvals.length === 0 ? 'nobody answered' : `${approvals.length} of ${needed} approved`;
+  const given = approvals.length === 0 && !heard(events, asked) ? 'nobody answered' : `${approvals.length} of ${needed} approved`;
   return `${titleOf(asked.capability, asked.effective, 'what it held')}${where} (${clockTime(at)}, ${given})`;
 }
 
@@ -68,14 +73,14 @@ function first(name: string): string {
 
 function unapproved(events: readonly LogEvent[], asked: Asked, { from, last }: { from: LogEvent | undefined; last: LogEvent }, named: Naming): string | null {
   if (question(last)['status'] === 'denied') return `${first(named(last.actor))} denied.`;
-  if (question(last)['status'] === 'expired') return unanswered(question(last));
+  if (question(last)['status'] === 'expired') return unanswered(question(last), heard(events, asked));
   return instead(events, asked, from, named, last.seq) ?? renewed(events, asked, last, named);
 }
 
 /** Whose answers were missing when the time was over. */
-function unanswered({ approvals, needed }: Record<string, Json>): string {
+function unanswered({ approvals, needed }: Record<string, Json>, answered: boolean): string {
   const [given, wanted] = [Array.isArray(approvals) ? approvals.length : 0, typeof needed === 'number' ? needed : 1];
-  if (given === 0) return 'Nobody answered in time.';
+  if (given === 0) return answered ? `0 of ${wanted} approved when the time was over.` : 'Nobody answered in time.';
   const missing = given + 1 < wanted ? 'the others' : wanted === 2 ? 'the second' : 'the last one';
   return `${given} of ${wanted} approved; ${missing} did not answer in time.`;
 }
