@@ -402,6 +402,7 @@ class Kernel:
 
     def _launching(self, invocation: Invocation, authorization: Authorization, body: str) -> Launching:
         now = self._register.now()
+        by_grant = f"{GRANTED}{invocation.grant}" in authorization.approvals  # and not by whoever has it in hand since
         return Launching(
             invocation=replace(
                 invocation,
@@ -418,7 +419,7 @@ class Kernel:
                     body={
                         "authorization": orjson.loads(body),
                         "cell": invocation.cell,
-                        **({} if invocation.grant is None else {"grant": invocation.grant}),
+                        **({"grant": invocation.grant} if by_grant else {}),
                     },
                 ),
             ),

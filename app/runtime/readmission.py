@@ -22,13 +22,13 @@ async def readmitted(
 ) -> tuple[Judgement, tuple[str, ...]]:
     """Decide again on what a session does, from where the robot is now; returns the judgement and who approved it.
 
-    Whoever approved its launch and may approve nothing any more is none of them.
+    Whoever approved its launch and may approve nothing any more is none of them, nor is a grant that has ended.
 
     Raises:
         Conflict: `resume_refused`, with the reasons.
     """
     said = await _approvals(desk.register, present.id)  # first: nothing is awaited between the decision and the launch
-    approvals = tuple(name for name in said if name.startswith(GRANTED) or desk.grants.may_give(name))
+    approvals = tuple(name for name in said if _counts(desk, name))
     effective = dict(present.effective or {})
     judgement = desk.kernel.judge(present.proposal(effective), present.agent, cell, within=present)
     reasons = [reason._asdict() for reason in judgement.reasons()]
@@ -40,6 +40,12 @@ async def readmitted(
     if judgement.need is not None and judgement.need.approvers > len(people):
         raise Conflict("resume_refused", "it takes more approvals from here", reasons=reasons)
     return judgement, approvals
+
+
+def _counts(desk: Questions, name: str) -> bool:
+    if name.startswith(GRANTED):
+        return desk.grants.stands(name.removeprefix(GRANTED))
+    return desk.grants.may_give(name)
 
 
 async def _approvals(register: Register, invocation: str) -> tuple[str, ...]:

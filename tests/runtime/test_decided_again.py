@@ -113,5 +113,28 @@ async def test_who_may_approve_no_more_is_nobody_of_those_whom_a_hand_back_takes
     assert permit(cell)["capability"] == "takeover"
 
 
+@pytest.mark.parametrize("revoked", [False, True])
+async def test_what_is_handed_back_names_the_grant_it_began_by_only_while_that_stands(
+    runtime: Runtime, cell: HandCell, revoked: bool
+) -> None:
+    given = await runtime.desk.grants.give(OPERATOR_2, MUGS)
+    made, _ = await runtime.governor.propose(AGENT, grasp())
+    await cell.expect("launch")
+    await cell.launched(made["id"])
+    await runtime.governor.take_over(made["id"], OPERATOR)
+    await cell.report("launch", made["id"], capability="takeover")
+    if revoked:
+        await runtime.desk.grants.revoke(given["id"], OPERATOR)
+    back = asyncio.ensure_future(runtime.governor.release(made["id"], OPERATOR, "resume"))
+    async with stating(cell, status="running"):
+        await cell.expect("launch", 3)
+    await cell.report("status", made["id"], status="running", before="recovering", reason="handed_back")
+    await back
+    assert permit(cell)["approvals"] == ([] if revoked else [f"grant:{given['id']}"]) + [OPERATOR.name]
+    trace = await runtime.governor.trace(made["id"], ENGINEER)
+    named = [event["body"].get("grant") for event in trace if event["kind"] == "authorization"]
+    assert named == [given["id"], None, None if revoked else given["id"]]  # nobody's grant is what is driven by hand
+
+
 def permit(cell: HandCell) -> dict[str, Any]:
     return json.loads(base64.b64decode(cell.all("launch")[-1].body))
