@@ -36,6 +36,17 @@ describe('the pace of drawing', () => {
     expect(LEAST_MS).toBeLessThan(SHARE * COST_MS);
   });
 
+  it('keeps its pace after one drawing during which the page was busy with something else', async () => {
+    const costs = [COST_MS, 20 * COST_MS, COST_MS];
+    const held = new Pace(() => drawn.push(Date.now()), () => new Promise((resolve) => setTimeout(resolve, costs.shift() ?? COST_MS)), () => Date.now());
+    for (let at = 0; at < 2_000; at += 10) {
+      held.ask();
+      await vi.advanceTimersByTimeAsync(10);
+    }
+    const [, second = 0, third = Infinity] = drawn;
+    expect(third - second).toBeLessThanOrEqual(20 * COST_MS + SHARE * COST_MS);
+  });
+
   it('goes on after a drawing that failed', async () => {
     let fails = true;
     const failing = new Pace(() => {

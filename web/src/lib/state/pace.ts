@@ -5,11 +5,14 @@ export const SHARE = 4;
 
 /**
  * Draws what comes at the pace the page can keep: at once after a quiet moment, then the less often the longer a drawing
- * takes. A flood of proposals must not keep an operator from being heard.
+ * takes. A flood of proposals must not keep an operator from being heard. Of two drawings the quicker one counts: once, it was
+ * something else that the page was busy with, and what is drawn late for that is an old state that looks like the present.
  */
 export class Pace {
   private wanted = false;
   private running = false;
+  /** What the drawing before took, ms. */
+  private before = Infinity;
 
   /**
    * @param draw what is to be done when there is something new.
@@ -36,8 +39,10 @@ export class Pace {
         this.draw();
         await this.drawn();
         const took = this.now() - began;
+        const cost = Math.min(took, this.before);
+        this.before = took;
         // A hidden page's timers may be late by a minute, and nobody presses keys there.
-        if (!hidden()) await pause(Math.max(LEAST_MS - took, (SHARE - 1) * took));
+        if (!hidden()) await pause(Math.max(LEAST_MS - took, (SHARE - 1) * cost));
       }
     } finally {
       this.running = false;
