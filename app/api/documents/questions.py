@@ -49,7 +49,7 @@ EXAMPLE_ESCALATION: dict[str, Any] = {
 
 
 class ApprovalDocument(Document):
-    """One person's approval, of the parameters with this digest."""
+    """One person's approval, of the parameters with this digest; taken off once they may approve nothing any more."""
 
     by: str
     at: str
