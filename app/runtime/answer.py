@@ -3,7 +3,7 @@
 What is approved is exactly what was shown. An edit is decided again; it voids earlier approvals, and where policy
 constrains the edit further, the constrained proposal is a new question. With the last approval the proposal is decided
 once more, because the world went on while people thought. Where policy has people asked by then for what nobody was
-shown, that is a new question as well: no approval was of it.
+shown, that is a new question as well: no approval was of it, nor is an edit.
 
 Answering a session's question: *approve* lets it go on (recorded first, and only to a cell that is there), *deny* ends
 it as policy says: it comes to rest (sent first), or is undone (recorded first).
@@ -100,12 +100,15 @@ class Answer:
     async def approve(self, params: Mapping[str, Any] | None) -> Escalation:
         """Count this approval, of the question as shown or as edited, and launch with the last one needed."""
         present = self._escalation
+        judgement = self._judge(present.effective)
+        if (need := judgement.need) is not None and judgement.conforms(present.effective) and self._outlived(need):
+            await self._ask_anew(need, self._asked_for(judgement))
         full = {**present.effective, **(params or {})}
         if full != present.effective:
             return await self._approve_edit(full)
         if any(approval["by"] == self._principal.name for approval in present.approvals):
             raise Conflict("already_approved", f"`{self._principal.name}` approved this: it takes another person")
-        return await self._count(present, None)
+        return await self._count(present, judgement)
 
     async def _approve_edit(self, full: Mapping[str, Any]) -> Escalation:
         filled = self._kernel.fill_in(self._invocation.capability, full, self._invocation.terms.version)
@@ -143,10 +146,11 @@ class Answer:
         as_it_came = present.digest == self._bound(present.effective)
         return [] if as_it_came else _codes(asking.get("reasons", present.reasons))
 
-    def _outlived(self, need: ApprovalNeed, counted: Escalation) -> bool:
+    def _outlived(self, need: ApprovalNeed) -> bool:
         """Say whether a question does not say what people would be asked by now, or was about another object."""
-        bound = {self._bound(counted.effective, why) for why in ([], _codes(counted.reasons))}
-        return _unsaid(need, counted) or counted.digest not in bound
+        present = self._escalation
+        bound = {self._bound(present.effective, why) for why in ([], _codes(present.reasons))}
+        return _unsaid(need, present) or present.digest not in bound
 
     def _asked_for(self, judgement: Judgement) -> dict[str, Any]:
         """Return how many people authority wants now, and why; never fewer than it wanted when it asked first."""
@@ -164,19 +168,17 @@ class Answer:
         edited = with_edit(said, self._invocation.requested, self._escalation.effective, verdict)
         self._invocation = replace(self._invocation, policy=edited)
 
-    async def _count(self, present: Escalation, judgement: Judgement | None) -> Escalation:
+    async def _count(self, present: Escalation, judgement: Judgement) -> Escalation:
         approval = {"by": self._principal.name, "at": self._register.now(), "digest": present.digest}
         counted = present.evolve(self._register.now(), approvals=(*self._questions.approvals(present), approval))
         if len(counted.approvals) < counted.needed:
             await self._commit_pending(counted, "approve")
             return counted
-        return await self._conclude(counted, judgement or self._judge(counted.effective))
+        return await self._conclude(counted, judgement)
 
     async def _conclude(self, counted: Escalation, judgement: Judgement) -> Escalation:
         """Launch, if the proposal still conforms in the world as it is now; otherwise say what changed."""
         need = judgement.need
-        if need is not None and judgement.conforms(counted.effective) and self._outlived(need, counted):
-            await self._ask_anew(counted, need, self._asked_for(judgement))
         if need is not None and need.approvers > len(counted.approvals):
             stricter = counted.evolve(self._register.now(), **self._asked_for(judgement))
             await self._commit_pending(stricter, "approve")
@@ -222,18 +224,17 @@ class Answer:
         self._questions.grants.hold(*given)
         return closed
 
-    async def _ask_anew(self, counted: Escalation, need: ApprovalNeed, asking: Mapping[str, Any]) -> NoReturn:
+    async def _ask_anew(self, need: ApprovalNeed, asking: Mapping[str, Any]) -> NoReturn:
         """Ask about what policy wants a human to look at by now, and nobody was shown; nothing said is a word on that.
 
         Raises:
             Conflict: `digest_mismatch`, always.
             RecordUnavailable: nothing is asked anew; the next answer meets the same.
         """
-        now = self._register.now()
-        bound = self._bound(counted.effective, _codes(asking["reasons"]))
-        asked = counted.evolve(
+        now, present = self._register.now(), self._escalation
+        asked = present.evolve(
             now,
-            digest=bound,
+            digest=self._bound(present.effective, _codes(asking["reasons"])),
             approvals=(),
             acknowledged=(),
             expires_at=rfc3339(self._register.now_s() + need.within_s),

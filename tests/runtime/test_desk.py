@@ -505,7 +505,10 @@ async def test_an_approval_that_finds_the_cell_busy_defers(runtime: Runtime, cel
     assert len(cell.all("launch")) == 1
 
 
-async def test_an_approval_is_no_answer_to_what_policy_asks_about_since(runtime: Runtime, cell: HandCell) -> None:
+@pytest.mark.parametrize("params", [None, {"speed_mps": 0.1}])
+async def test_an_approval_is_no_answer_to_what_policy_asks_about_since(
+    runtime: Runtime, cell: HandCell, params: dict[str, Any] | None
+) -> None:
     """Whoever approved a carry of the mug was never shown that a box near the payload limit wants a human's look."""
     cell.facts = {**AT_BENCH, "gripper_empty": False, "holding": "mug_1"}
     await cell.state()
@@ -517,7 +520,7 @@ async def test_an_approval_is_no_answer_to_what_policy_asks_about_since(runtime:
     await cell.state()
 
     with pytest.raises(Conflict) as found:
-        await answer(runtime, question)
+        await answer(runtime, question, params=params)
     assert found.value.code == "digest_mismatch"
     assert "payload_margin" in {reason["code"] for reason in found.value.reasons}
     assert not cell.all("launch")
@@ -533,7 +536,10 @@ async def test_an_approval_is_no_answer_to_what_policy_asks_about_since(runtime:
     assert launch
 
 
-async def test_an_approval_of_one_load_is_none_of_another(runtime: Runtime, cell: HandCell) -> None:
+@pytest.mark.parametrize("params", [None, {"speed_mps": 0.1}])
+async def test_an_approval_of_one_load_is_none_of_another(
+    runtime: Runtime, cell: HandCell, params: dict[str, Any] | None
+) -> None:
     """No parameter of a carry names what is carried: it is what the gripper holds."""
     cell.facts = {**AT_BENCH, "gripper_empty": False, "holding": "mug_1"}
     await cell.state()
@@ -541,7 +547,7 @@ async def test_an_approval_of_one_load_is_none_of_another(runtime: Runtime, cell
     _, question = await asked(runtime, carry)
     cell.facts = {**cell.facts, "holding": "driver_1"}
     await cell.state()
-    assert await refusal(runtime, question) == "digest_mismatch"
+    assert await refusal(runtime, question, params=params) == "digest_mismatch"
     assert not cell.all("launch")
     anew = await runtime.desk.get(question["id"])
     assert (anew["status"], anew["approvals"], anew["reasons"]) == ("pending", [], question["reasons"])
@@ -549,7 +555,8 @@ async def test_an_approval_of_one_load_is_none_of_another(runtime: Runtime, cell
     cell.facts = {**cell.facts, "holding": "mug_1"}
     await cell.state()
     assert await refusal(runtime, anew) == "digest_mismatch"  # nor is that one's of what is held by now
-    assert (await answer(runtime, await runtime.desk.get(question["id"])))["status"] == "approved"
+    last = await answer(runtime, await runtime.desk.get(question["id"]), params=params)
+    assert (last["status"], last["effective"]) == ("approved", {**question["effective"], **(params or {})})
     assert len(cell.all("launch")) == 1
 
 
