@@ -84,7 +84,7 @@ NOTES = """
     Object.defineProperty(Worker.prototype, 'onmessage', { ...heard, set(take) {
         heard.set.call(this, (event) => {
             take(event);
-            if (event.data?.is === 'frame') notes.frames += 1;
+            notes.frames += event.data.filter((one) => one.is === 'frame').length;
         });
     } });
     const fence = WebGL2RenderingContext.prototype.fenceSync;

@@ -6,7 +6,7 @@ import { cell, escalation, invocation, scene } from './samples';
 /** The Worker that holds the socket; the test says what comes from it. */
 class PlayedWorker {
   static newest: PlayedWorker;
-  onmessage: ((event: { data: unknown }) => void) | null = null;
+  onmessage: ((event: { data: unknown[] }) => void) | null = null;
 
   constructor() {
     PlayedWorker.newest = this;
@@ -18,17 +18,17 @@ class PlayedWorker {
     // nothing runs
   }
   say(message: object): void {
-    this.onmessage?.({ data: { is: 'message', message } });
+    this.onmessage?.({ data: [{ is: 'message', message }] });
   }
   up(): void {
-    this.onmessage?.({ data: { is: 'health', health: { state: 'up', rttMs: 1, framesPerS: 30, why: '' } } });
+    this.onmessage?.({ data: [{ is: 'health', health: { state: 'up', rttMs: 1, framesPerS: 30, why: '' }, atMs: performance.now() }] });
   }
   /** A frame of the cell at this place of those that are watched, in which nothing is. */
   frame(at: number): void {
     const buffer = new ArrayBuffer(28);
     new Uint8Array(buffer).set(new TextEncoder().encode('RPF1'));
     new DataView(buffer).setUint16(4, at, true);
-    this.onmessage?.({ data: { is: 'frame', buffer } });
+    this.onmessage?.({ data: [{ is: 'frame', buffer }] });
   }
 }
 

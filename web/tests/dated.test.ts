@@ -1,4 +1,5 @@
 import { afterEach, beforeEach, describe, expect, it, vi } from 'vitest';
+import type { Health } from '../src/lib/socket/connection';
 import { Link } from '../src/lib/socket/link';
 import type { Down, Jog, Up } from '../src/lib/socket/messages';
 import type { FromWorker, ToWorker } from '../src/lib/socket/worker';
@@ -7,7 +8,7 @@ import type { FromWorker, ToWorker } from '../src/lib/socket/worker';
 class PlayedWorker {
   static newest: PlayedWorker;
   told: ToWorker[] = [];
-  onmessage: ((event: { data: FromWorker }) => void) | null = null;
+  onmessage: ((event: { data: FromWorker[] }) => void) | null = null;
 
   constructor() {
     PlayedWorker.newest = this;
@@ -15,8 +16,12 @@ class PlayedWorker {
   postMessage(message: ToWorker): void {
     this.told.push(message);
   }
-  say(message: Down): void {
-    this.onmessage?.({ data: { is: 'message', message } });
+  say(...messages: Down[]): void {
+    this.onmessage?.({ data: messages.map((message) => ({ is: 'message', message })) });
+  }
+  /** Says how the link is, as it was at that time by its own clock. */
+  feels(atMs: number, state: Health['state'] = 'up'): void {
+    this.onmessage?.({ data: [{ is: 'health', health: { state, rttMs: 3, framesPerS: 30, why: '' }, atMs }] });
   }
   terminate(): void {
     this.onmessage = null;
@@ -60,5 +65,58 @@ describe('a hold-to-run command', () => {
     PlayedWorker.newest.say({ type: 'beat', n: 7, at: 0, seq: 1 });
     PlayedWorker.newest.say(WELCOME);
     expect(jogged()).toMatchObject({ beat: 0 });
+  });
+});
+
+describe('a page that is slow to take what has come', () => {
+  const ITS_CLOCK_MS = 1_700;
+  let link: Link;
+  let seen: Health[];
+  let told: Down[];
+
+  beforeEach(() => {
+    vi.useFakeTimers({ now: 5_000 });
+    vi.stubGlobal('Worker', PlayedWorker);
+    vi.stubGlobal('location', { protocol: 'http:', host: 'here', href: 'http://here/', origin: 'http://here' });
+    [seen, told] = [[], []];
+    link = new Link('secret', { message: (message) => told.push(message), frame: () => undefined, health: (health) => seen.push(health), refused: () => undefined });
+  });
+  afterEach(() => {
+    link.end();
+    vi.unstubAllGlobals();
+    vi.useRealTimers();
+  });
+
+  /** What was said so long ago is taken now. */
+  function taken(agoMs: number, state: Health['state'] = 'up'): string | undefined {
+    PlayedWorker.newest.feels(performance.now() - ITS_CLOCK_MS - agoMs, state);
+    return seen.at(-1)?.state;
+  }
+
+  it('shows nothing as the present that waited for it for more than a second', () => {
+    expect(taken(0)).toBe('up');
+    expect(taken(900)).toBe('up');
+    expect(taken(1_100)).toBe('late');
+    expect(seen.at(-1)?.rttMs).toBeNull();
+    expect(taken(10)).toBe('up');
+    expect(taken(4_000, 'down')).toBe('down');
+  });
+
+  it('is no page that comes and goes', () => {
+    taken(0);
+    for (const agoMs of [1_500, 0, 1_500]) taken(agoMs);
+    vi.advanceTimersByTime(500);
+    expect(taken(0)).toBe('late');
+    vi.advanceTimersByTime(2_100);
+    expect(taken(0)).toBe('up');
+  });
+
+  it('says that it has taken what came together, also where one of that is none', () => {
+    const [uncaught, before] = [vi.fn(), PlayedWorker.newest.told.length];
+    vi.stubGlobal('queueMicrotask', uncaught);
+    PlayedWorker.newest.say(WELCOME, null as unknown as Down, { type: 'beat', n: 7, at: 0, seq: 1 });
+    expect(told.map(({ type }) => type)).toEqual(['welcome', 'beat']);
+    expect(uncaught).toHaveBeenCalledOnce();
+    expect(PlayedWorker.newest.told.slice(before)).toEqual([{ do: 'send', message: { type: 'ack', beat: 7 } }, { do: 'took' }]);
   });
 });

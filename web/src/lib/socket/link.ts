@@ -2,6 +2,7 @@ import workerUrl from './worker?worker&url';
 import type { Health } from './connection';
 import { readFrame, type PoseFrame } from './frame';
 import type { Down, Jog, Up } from './messages';
+import { LATE_MS, Steady } from './watchdog';
 import type { FromWorker, ToWorker } from './worker';
 
 /** What a page learns from its link. */
@@ -28,6 +29,9 @@ export class Link {
   private heardMs = performance.now();
   private framesTaken = 0;
   private beat = { n: 0, takenMs: 0 };
+  /** How long what the Worker says takes at least until it is taken here, by two clocks of which each began by itself. */
+  private leastMs = Infinity;
+  private readonly steady = new Steady();
   private readonly timer: ReturnType<typeof setInterval>;
 
   constructor(private readonly token: string, private readonly listener: LinkListener) {
@@ -38,7 +42,8 @@ export class Link {
   /** Its script is fetched by itself: one that did not come is asked for again, as a socket is. */
   private begin(): Worker {
     const worker = new Worker(scriptUrl(workerUrl) as string, { type: 'module', name: 'reins-link' });
-    worker.onmessage = (event: MessageEvent<FromWorker>) => this.take(event.data);
+    worker.onmessage = (event: MessageEvent<readonly FromWorker[]>) => this.takeAll(worker, event.data);
+    this.leastMs = Infinity;
     worker.onerror = () => (this.again = setTimeout(() => (this.worker = this.begin()), AGAIN_MS));
     const url = `${location.protocol === 'https:' ? 'wss' : 'ws'}://${location.host}/v1/console`;
     worker.postMessage({ do: 'open', url, token: this.token } satisfies ToWorker);
@@ -65,9 +70,20 @@ export class Link {
     this.worker.postMessage(message);
   }
 
-  private take(said: FromWorker): void {
+  private takeAll(worker: Worker, all: readonly FromWorker[]): void {
     this.heardMs = performance.now();
-    this.worker.onerror = null; // it is there
+    worker.onerror = null; // it is there
+    for (const said of all) {
+      try {
+        this.take(said);
+      } catch (error) {
+        queueMicrotask(() => { throw error; }); // told as what nobody caught is; what came behind it is taken all the same
+      }
+    }
+    worker.postMessage({ do: 'took' } satisfies ToWorker);
+  }
+
+  private take(said: FromWorker): void {
     switch (said.is) {
       case 'message':
         this.acknowledge(said.message);
@@ -80,11 +96,20 @@ export class Link {
         break;
       }
       case 'health':
-        this.listener.health(said.health);
+        this.listener.health(this.aged(said.health, said.atMs));
         break;
       case 'refused':
         this.listener.refused(said.why);
     }
+  }
+
+  /** A page that is too busy to take what has come shows what was so, however well the server is heard. */
+  private aged(health: Health, atMs: number): Health {
+    const nowMs = performance.now();
+    const tookMs = nowMs - atMs;
+    this.leastMs = Math.min(this.leastMs, tookMs);
+    const own = this.steady.take(tookMs - this.leastMs > LATE_MS ? 'late' : 'up', nowMs);
+    return health.state === 'up' && own !== 'up' ? { ...health, state: own, rttMs: null } : health;
   }
 
   private acknowledgeFrame(frame: PoseFrame): void {
