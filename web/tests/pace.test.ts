@@ -1,5 +1,5 @@
 import { afterEach, beforeEach, describe, expect, it, vi } from 'vitest';
-import { LEAST_MS, Pace, SHARE } from '../src/lib/state/pace';
+import { LEAST_MS, MOST_MS, Pace, SHARE } from '../src/lib/state/pace';
 
 describe('the pace of drawing', () => {
   const COST_MS = 50;
@@ -45,6 +45,16 @@ describe('the pace of drawing', () => {
     }
     const [, second = 0, third = Infinity] = drawn;
     expect(third - second).toBeLessThanOrEqual(20 * COST_MS + SHARE * COST_MS);
+  });
+
+  it('draws again soon on a slow computer: nothing old is shown as the present', async () => {
+    const slow = (): Promise<void> => new Promise((resolve) => setTimeout(resolve, 800));
+    const busy = new Pace(() => drawn.push(Date.now()), slow, () => Date.now());
+    for (let at = 0; at < 2_500; at += 50) {
+      busy.ask();
+      await vi.advanceTimersByTimeAsync(50);
+    }
+    expect(drawn).toEqual([0, 800 + MOST_MS, 2 * (800 + MOST_MS)]);
   });
 
   it('goes on after a drawing that failed', async () => {

@@ -2,6 +2,8 @@
 export const LEAST_MS = 33;
 /** Of its time a page gives at most one part in so many to drawing what comes; the rest is for whoever presses a key. */
 export const SHARE = 4;
+/** But it draws again by then, however long that takes: what is shown counts as the present. */
+export const MOST_MS = 400;
 
 /**
  * Draws what comes at the pace the page can keep: at once after a quiet moment, then the less often the longer a drawing
@@ -42,7 +44,7 @@ export class Pace {
         const cost = Math.min(took, this.before);
         this.before = took;
         // A hidden page's timers may be late by a minute, and nobody presses keys there.
-        if (!hidden()) await pause(Math.max(LEAST_MS - took, (SHARE - 1) * cost));
+        if (!hidden()) await pause(Math.max(LEAST_MS - took, Math.min(MOST_MS, (SHARE - 1) * cost)));
       }
     } finally {
       this.running = false;
