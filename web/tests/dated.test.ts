@@ -83,6 +83,7 @@ describe('a page that is slow to take what has come', () => {
   });
   afterEach(() => {
     link.end();
+    vi.restoreAllMocks();
     vi.unstubAllGlobals();
     vi.useRealTimers();
   });
@@ -109,6 +110,15 @@ describe('a page that is slow to take what has come', () => {
     expect(taken(0)).toBe('late');
     vi.advanceTimersByTime(2_100);
     expect(taken(0)).toBe('up');
+  });
+
+  it('does not call the link down because it was itself too busy to hear of it', () => {
+    const now = performance.now.bind(performance);
+    vi.spyOn(performance, 'now').mockImplementation(() => now() + 5_000); // it hung for so long
+    vi.advanceTimersToNextTimer();
+    expect(seen).toEqual([]);
+    vi.advanceTimersByTime(1_000); // and then it did not: nobody says anything any more
+    expect(seen.at(-1)?.state).toBe('down');
   });
 
   it('says that it has taken what came together, also where one of that is none', () => {

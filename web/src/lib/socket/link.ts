@@ -16,6 +16,10 @@ export interface LinkListener {
 /** The Worker is silent for this long: it is the link that cannot be vouched for. */
 export const WORKER_SILENT_MS = 600;
 
+const LOOK_MS = 200;
+/** What counts of the time between two looks: a page that was busy has not looked, and what the Worker said meanwhile lies before it. */
+const LOOKED_MS = 250;
+
 /** A Worker that did not come is asked for again after this long. */
 const AGAIN_MS = 1_000;
 
@@ -26,7 +30,8 @@ const FRAMES_PER_ACK = 2;
 export class Link {
   private worker: Worker;
   private again: ReturnType<typeof setTimeout> | undefined;
-  private heardMs = performance.now();
+  private silentMs = 0;
+  private lookedMs = performance.now();
   private framesTaken = 0;
   private beat = { n: 0, takenMs: 0 };
   /** How long what the Worker says takes at least until it is taken here, by two clocks of which each began by itself. */
@@ -36,7 +41,7 @@ export class Link {
 
   constructor(private readonly token: string, private readonly listener: LinkListener) {
     this.worker = this.begin();
-    this.timer = setInterval(() => this.look(), 200);
+    this.timer = setInterval(() => this.look(), LOOK_MS);
   }
 
   /** Its script is fetched by itself: one that did not come is asked for again, as a socket is. */
@@ -71,7 +76,7 @@ export class Link {
   }
 
   private takeAll(worker: Worker, all: readonly FromWorker[]): void {
-    this.heardMs = performance.now();
+    this.silentMs = 0;
     worker.onerror = null; // it is there
     for (const said of all) {
       try {
@@ -129,7 +134,10 @@ export class Link {
   }
 
   private look(): void {
-    if (performance.now() - this.heardMs > WORKER_SILENT_MS) {
+    const nowMs = performance.now();
+    this.silentMs += Math.min(LOOKED_MS, nowMs - this.lookedMs);
+    this.lookedMs = nowMs;
+    if (this.silentMs > WORKER_SILENT_MS) {
       this.listener.health({ state: 'down', rttMs: null, framesPerS: 0, why: '' });
     }
   }
