@@ -1,6 +1,6 @@
 import { afterEach, beforeEach, describe, expect, it, vi } from 'vitest';
 import type { Health } from '../src/lib/socket/connection';
-import { Link } from '../src/lib/socket/link';
+import { BUSY, Link } from '../src/lib/socket/link';
 import type { Down, Jog, Up } from '../src/lib/socket/messages';
 import type { FromWorker, ToWorker } from '../src/lib/socket/worker';
 
@@ -98,7 +98,7 @@ describe('a page that is slow to take what has come', () => {
     expect(taken(0)).toBe('up');
     expect(taken(900)).toBe('up');
     expect(taken(1_100)).toBe('late');
-    expect(seen.at(-1)?.rttMs).toBeNull();
+    expect(seen.at(-1)).toMatchObject({ rttMs: null, why: BUSY });
     expect(taken(10)).toBe('up');
     expect(taken(4_000, 'down')).toBe('down');
   });

@@ -13,6 +13,9 @@ export interface LinkListener {
   refused(why: string): void;
 }
 
+/** Why what comes is late where it is not the line. */
+export const BUSY = 'This computer is too busy.';
+
 /** The Worker is silent for this long: it is the link that cannot be vouched for. */
 export const WORKER_SILENT_MS = 600;
 
@@ -114,7 +117,7 @@ export class Link {
     const tookMs = nowMs - atMs;
     this.leastMs = Math.min(this.leastMs, tookMs);
     const own = this.steady.take(tookMs - this.leastMs > LATE_MS ? 'late' : 'up', nowMs);
-    return health.state === 'up' && own !== 'up' ? { ...health, state: own, rttMs: null } : health;
+    return health.state === 'up' && own !== 'up' ? { ...health, state: own, rttMs: null, why: BUSY } : health;
   }
 
   private acknowledgeFrame(frame: PoseFrame): void {
