@@ -328,6 +328,23 @@ def test_an_edit_outlasts_a_look_at_another_page_and_is_told_to_be_gone_where_an
     assert floor.settled(kept["id"])["effective"]["force_n"] == 22
 
 
+def test_whoever_loads_the_page_anew_over_an_edit_is_told_that_it_was_not_sent(
+    server: ServerProcess, people: People, floor: Floor
+) -> None:
+    person = people.sit(server)
+    floor.ask()
+    force = card(person).get_by_role("textbox", name="Grip force you approve, N")
+    said = person.alert("Your edit of Grasp mug_1 was not sent, and is gone.")
+    for typed, told in (("22", 1), ("60", 0)):  # what is asked anyway is no edit
+        force.fill(typed)
+        person.page.reload()
+        expect(force).to_have_value("60")
+        expect(said).to_have_count(told)
+        if told:
+            said.get_by_role("button", name="Understood").click()
+            expect(said).to_have_count(0)
+
+
 def test_a_question_that_another_answers_or_another_profile_withdraws_says_so_and_what_became_of_it(
     server: ServerProcess, people: People, floor: Floor
 ) -> None:

@@ -61,7 +61,7 @@ export class Decision {
   private timer: ReturnType<typeof setTimeout> | undefined;
   private turn = 0;
   /** What was typed as it was last sent. */
-  private sent: Typed | null = null;
+  private sent = $state.raw<Typed | null>(null);
   /** Whether the server would not have what was sent last: without its word that is not known. */
   private refused = false;
   /** Counts the answers: what an older one meets says nothing any more. */
@@ -91,6 +91,9 @@ export class Decision {
   readonly deniable = $derived.by(() => this.sending !== 'deny' && !this.over);
   /** What a press of approve is about: what is asked, what was typed, and what policy said to it. */
   readonly shown = $derived.by(() => JSON.stringify([this.asked.digest, this.typed, this.check, this.offer, this.ready]));
+
+  /** Whether something was typed that was never sent, and goes with the page. */
+  readonly unsent = $derived.by(() => (this.edited || Object.keys(this.edit.faults).length > 0) && !this.over && this.typed !== this.sent);
 
   /** Gives away what was typed and is not answered, as its card goes: policy is not asked about it any more. Null where nothing was typed, or it is what is asked anyway. */
   putDown(): Draft | null {

@@ -3,6 +3,7 @@ import { Api } from '../api/client';
 import type { Capability, Cell, Escalation, InputSchema, Invocation, LogEvent, PolicySet, Review } from '../api/documents';
 import { entryOf } from '../format/entry';
 import { turnedAway, type Known } from '../format/events';
+import { calledOf } from '../live/called';
 import { Lasting, withLasting } from '../live/lasting';
 import { Orders } from '../live/orders.svelte';
 import { Reviewing } from '../live/reviewing.svelte';
@@ -76,6 +77,8 @@ export class Console {
   readonly unheeded = new Unheeded();
   /** What was typed into questions whose card went before it was sent. */
   readonly drafts = new SvelteMap<string, Draft>();
+  /** The question that is open on the page, as it is called, where an edit of it was not sent. */
+  editing: string | null = null;
   readonly orders = new Orders(this);
   readonly titles: Titles;
   readonly reviewing: Reviewing;
@@ -228,6 +231,13 @@ export class Console {
     for (let waitedMs = 0; waitedMs < SHOWN_MS && entryOf(this.docs.cells, cell)?.latched !== true; waitedMs += LOOK_AT_MS) {
       await new Promise((resolve) => setTimeout(resolve, LOOK_AT_MS));
     }
+  }
+
+  /** What whoever leaves has to know of what they typed here; null: nothing. */
+  get leaving(): string | null {
+    const kept = [...this.drafts.values()].filter(({ asked, sent }) => !sent && asked.id in this.docs.escalations).map(({ asked }) => calledOf(asked, this.docs));
+    const lost = this.editing === null ? kept : [this.editing, ...kept];
+    return lost.length === 0 ? null : `Your edit of ${lost.join(', ')} was not sent, and is gone.`;
   }
 
   jog(command: Jog): void {
