@@ -237,6 +237,11 @@ def test_a_note_that_the_record_does_not_take_whole_is_kept_back_and_not_cut_sho
     )
     said = f"{'What came before it. ' * 190}The person was seen too late."
     note.fill(said)
+    person.page.reload()  # it goes with the page, and not without a word
+    person.alert("Your note on Drive to").get_by_role("button", name="Understood").tap()
+    queue(person).get_by_role("button", name=re.compile("Drive to")).tap()
+    form.get_by_role("radio", name=re.compile("Objected")).check()
+    note.fill(said)
     record.tap()
     expect(queue(person).get_by_role("status")).to_have_text("Recorded: objected.")
     assert kept(server, stopped)["verdict"]["note"] == said

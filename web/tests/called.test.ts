@@ -1,5 +1,5 @@
 import { describe, expect, it } from 'vitest';
-import { calledOf, isAlike } from '../src/lib/live/called';
+import { calledOf, isAlike, lostWords } from '../src/lib/live/called';
 import { cell, escalation } from './samples';
 
 describe('what a question is called where it does not stand before one', () => {
@@ -21,5 +21,12 @@ describe('what a question is called where it does not stand before one', () => {
       [true, 'Grasp mug_1 in workcell-1 (planner, 40 N)'],
       [true, 'Grasp mug_1 in workcell-1 (picker, 20 N)'],
     ]);
+  });
+});
+
+describe('what goes with its page', () => {
+  it('is named, and nothing is said where there is none', () => {
+    expect(lostWords('edit of', [])).toEqual([]);
+    expect(lostWords('note on', ['Grasp mug_1', 'Drive to dock'])).toEqual(['Your note on Grasp mug_1, Drive to dock was not sent, and is gone.']);
   });
 });

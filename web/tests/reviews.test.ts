@@ -126,6 +126,17 @@ describe('a verdict in the making', () => {
     expect(reviewing.told).toBe('rev_a: Recorded: accepted.');
   });
 
+  it('is named by what it is about as long as its note is not sent', async () => {
+    written(A, 'accepted', ' ');
+    expect(reviewing.unsent).toEqual([]);
+    const sending = reviewing.send(written(A, 'accepted', 'all well'));
+    written(B, 'objected', 'half a sentence');
+    expect(reviewing.unsent).toEqual(['rev_b']);
+    answers[0]?.fail('unreachable');
+    await sending;
+    expect(reviewing.unsent).toEqual(['rev_a', 'rev_b']);
+  });
+
   it('is kept as long as its review waits, whether a form shows it or not', () => {
     const gone = reviewing.keep(written(A, 'accepted', 'kept'));
     const empty = reviewing.keep(reviewing.of(B));

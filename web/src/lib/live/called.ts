@@ -21,3 +21,8 @@ export function calledOf(asked: Escalation, known: Known): string {
   const apart = [asked.agent, figuresOf(asked.effective)].filter((part) => part !== '').join(', ');
   return placedOf(asked, known) + (isAlike(asked, known) ? ` (${apart})` : '');
 }
+
+/** What is said of something written that was not sent and goes with its page; nothing, where there is none. */
+export function lostWords(what: string, of: readonly string[]): string[] {
+  return of.length === 0 ? [] : [`Your ${what} ${of.join(', ')} was not sent, and is gone.`];
+}

@@ -58,6 +58,11 @@ export class Reviewing {
     return this.open === null ? null : (entryOf(this.drafts, this.open)?.review ?? null);
   }
 
+  /** The sessions of which a note was written and not sent: it goes with the page. */
+  get unsent(): readonly string[] {
+    return Object.values(this.drafts).filter(({ note, sending }) => note.trim() !== '' && !sending).map(({ review }) => this.title(review));
+  }
+
   /** What is being written on a review. */
   of(review: Review): Draft {
     const known = entryOf(this.drafts, review.id);

@@ -3,7 +3,7 @@ import { Api } from '../api/client';
 import type { Capability, Cell, Escalation, InputSchema, Invocation, LogEvent, PolicySet, Review } from '../api/documents';
 import { entryOf } from '../format/entry';
 import { turnedAway, type Known } from '../format/events';
-import { calledOf } from '../live/called';
+import { calledOf, lostWords } from '../live/called';
 import { Lasting, withLasting } from '../live/lasting';
 import { Orders } from '../live/orders.svelte';
 import { Reviewing } from '../live/reviewing.svelte';
@@ -237,7 +237,8 @@ export class Console {
   get leaving(): string | null {
     const kept = [...this.drafts.values()].filter(({ asked, sent }) => !sent && asked.id in this.docs.escalations).map(({ asked }) => calledOf(asked, this.docs));
     const lost = this.editing === null ? kept : [this.editing, ...kept];
-    return lost.length === 0 ? null : `Your edit of ${lost.join(', ')} was not sent, and is gone.`;
+    const words = [...lostWords('edit of', lost), ...lostWords('note on', this.reviewing.unsent)];
+    return words.length === 0 ? null : words.join(' ');
   }
 
   jog(command: Jog): void {
