@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING, Final, Protocol, TypeAlias
 
 from app.cell import telling
 from app.cell.journal import JournalUnavailable
-from app.cell.run import LINK, Bind, Doing, End, Run, Unprepared, not_restored, seen_since
+from app.cell.restored import not_restored, seen_since
+from app.cell.run import LINK, Bind, Doing, End, Run, Unprepared
 from app.cell.substrate import SubstrateError
 from app.governance.clamp import clamp, hold
 from app.governance.intervention import CONTACT, NOTHING, Decision, recovering

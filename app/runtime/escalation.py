@@ -186,8 +186,9 @@ def bound_digest(
     """Return the digest that an approval of these parameters is bound to.
 
     Whose proposal, what, where, how, and under which policy and profile: the same parameters are watched differently
-    under another one. In mid-execution also which phase waits: who lets a held session go on confirms none. And by
-    which codes the session is held (`why`), where they became others while somebody was asked.
+    under another one. In mid-execution also which phase waits: who lets a held session go on confirms none. By which
+    codes the session is held, or people are asked before a launch (`why`), where they became others while somebody was
+    asked. And what the gripper holds (`carried`), where that is what is handled.
     """
     return digest(
         {

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from app.cell.run import not_restored
+from app.cell.restored import not_restored
 from app.governance.model import ObjectFact, WorldFacts
 
 MUG = ObjectFact(visible=True, reachable=True, x_m=1.0, y_m=5.0, z_m=0.8, stamp_s=1.0)
