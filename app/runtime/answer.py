@@ -31,7 +31,7 @@ from app.runtime.drafts import (
     with_reason,
 )
 from app.runtime.errors import Conflict, InvalidParams
-from app.runtime.escalation import APPROVED, DENIED, ROLLBACK, bound_digest
+from app.runtime.escalation import APPROVED, DENIED, ROLLBACK
 from app.runtime.invocation import reasons_document
 from app.runtime.readmission import lapsed, readmitted
 
@@ -118,7 +118,7 @@ class Answer:
         effective = judgement.effective(filled)
         self._note_edit(judgement)
         now, asking = self._register.now(), self._asked_for(judgement)
-        bound = self._bound(effective, self._why(asking))
+        bound = self._bound(effective, asking.get("reasons", self._escalation.reasons))
         edit = {"by": self._principal.name, "at": now, "params": effective, "digest": bound}
         edited = self._escalation.evolve(
             now,
@@ -135,22 +135,13 @@ class Answer:
         await self._commit_pending(edited, "edit")
         return edited
 
-    def _bound(self, effective: Mapping[str, Any], why: Sequence[str] = ()) -> str:
-        """Return the digest that an approval of these parameters is bound to as the world is now."""
-        carried = self._kernel.carried(self._invocation, effective)
-        return bound_digest(self._invocation, effective, why=why, carried=carried)
-
-    def _why(self, asking: Mapping[str, Any]) -> list[str]:
-        """Return the codes that an edit is bound to: those it asks for, where its question has been asked anew."""
-        present = self._escalation
-        as_it_came = present.digest == self._bound(present.effective)
-        return [] if as_it_came else _codes(asking.get("reasons", present.reasons))
+    def _bound(self, effective: Mapping[str, Any], why: Sequence[Mapping[str, str]]) -> str:
+        return self._questions.bound(self._invocation, effective, why)
 
     def _outlived(self, need: ApprovalNeed) -> bool:
         """Say whether a question does not say what people would be asked by now, or was about another object."""
         present = self._escalation
-        bound = {self._bound(present.effective, why) for why in ([], _codes(present.reasons))}
-        return _unsaid(need, present) or present.digest not in bound
+        return _unsaid(need, present) or present.digest != self._bound(present.effective, present.reasons)
 
     def _asked_for(self, judgement: Judgement) -> dict[str, Any]:
         """Return how many people authority wants now, and why; never fewer than it wanted when it asked first."""
@@ -180,7 +171,8 @@ class Answer:
         """Launch, if the proposal still conforms in the world as it is now; otherwise say what changed."""
         need = judgement.need
         if need is not None and need.approvers > len(counted.approvals):
-            stricter = counted.evolve(self._register.now(), **self._asked_for(judgement))
+            # Its reasons are among those that were shown, or it would have been asked anew.
+            stricter = counted.evolve(self._register.now(), needed=need.approvers)
             await self._commit_pending(stricter, "approve")
             return stricter
         now = self._register.now()
@@ -234,7 +226,7 @@ class Answer:
         now, present = self._register.now(), self._escalation
         asked = present.evolve(
             now,
-            digest=self._bound(present.effective, _codes(asking["reasons"])),
+            digest=self._bound(present.effective, asking["reasons"]),
             approvals=(),
             acknowledged=(),
             expires_at=rfc3339(self._register.now_s() + need.within_s),
@@ -333,10 +325,6 @@ class Answer:
             invocation=self._invocation.id,
             body={"decision": decision, "escalation": escalation.public(), "comment": self._comment, **edited},
         )
-
-
-def _codes(reasons: Sequence[Mapping[str, str]]) -> list[str]:
-    return [why["code"] for why in reasons]
 
 
 def _unsaid(need: ApprovalNeed, shown: Escalation) -> bool:

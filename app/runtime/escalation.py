@@ -178,17 +178,17 @@ def read_escalation(document: bytes) -> Escalation:
 def bound_digest(
     invocation: Invocation,
     effective: Mapping[str, Any],
+    why: Sequence[Mapping[str, str]],
     phase: str | None = None,
-    why: Sequence[str] = (),
     *,
     carried: str | None = None,
 ) -> str:
     """Return the digest that an approval of these parameters is bound to.
 
     Whose proposal, what, where, how, and under which policy and profile: the same parameters are watched differently
-    under another one. In mid-execution also which phase waits: who lets a held session go on confirms none. By which
-    codes the session is held, or people are asked before a launch (`why`), where they became others while somebody was
-    asked. And what the gripper holds (`carried`), where that is what is handled.
+    under another one. For which reasons people are asked (`why`: by which rule, with which code), and what the gripper
+    holds (`carried`), where that is what is handled. In mid-execution which phase waits: who lets a held session go on
+    confirms none; and the reasons where they became others while somebody was asked.
     """
     return digest(
         {
@@ -199,8 +199,8 @@ def bound_digest(
             "policy": invocation.policy_version,
             "profile": invocation.profile,
             "params": dict(effective),
+            "why": [[because["rule"], because["code"]] for because in why],
             **({} if phase is None else {"phase": phase}),
-            **({"why": list(why)} if why else {}),
             **({} if carried is None else {"carried": carried}),
         }
     )

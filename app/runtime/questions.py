@@ -125,7 +125,7 @@ class Questions:
     def _build(self, invocation: Invocation, **fields: Any) -> Escalation:  # noqa: ANN401  # fields of an escalation
         effective = invocation.requested if invocation.effective is None else invocation.effective
         now = self.register.now()
-        carried = self.kernel.carried(invocation, effective) if fields["kind"] == APPROVAL else None
+        bound = self._bound(invocation, effective, fields)
         return Escalation(
             id=self.kernel.identities.make("esc"),
             invocation=invocation.id,
@@ -136,7 +136,7 @@ class Questions:
             requested=invocation.requested,
             constrained=effective,
             effective=effective,
-            digest=bound_digest(invocation, effective, fields.get("phase"), carried=carried),
+            digest=bound,
             names_task=invocation.task is not None,
             goal=stated(invocation.goal),
             task=stated(invocation.task),
@@ -147,6 +147,16 @@ class Questions:
             updated_at=now,
             **fields,
         )
+
+    def _bound(self, invocation: Invocation, effective: Mapping[str, Any], fields: Mapping[str, Any]) -> str:
+        if fields["kind"] == APPROVAL:
+            return self.bound(invocation, effective, fields["reasons"])
+        # Its cell says in the same moment, in more words, why it is held: no answer to the first is outdated by that.
+        return bound_digest(invocation, effective, (), fields.get("phase"))
+
+    def bound(self, invocation: Invocation, effective: Mapping[str, Any], why: Sequence[Mapping[str, str]]) -> str:
+        """Return the digest that approvals of a launch for these reasons are bound to, as the world is now."""
+        return bound_digest(invocation, effective, why, carried=self.kernel.carried(invocation, effective))
 
     def hold(self, *versions: Escalation) -> None:
         """Take newest versions that are recorded: a pending one waits for its answer, others are done."""

@@ -188,10 +188,10 @@ class Story:
         to what was asked is none to this: going on may be a new attempt now.
         """
         told = self._desk.and_paused(version, reasons, told=event.body.get("paused") is True)
-        codes = [why["code"] for why in told]
-        if version.terms.asked_tick == event.tick or codes == [why["code"] for why in question.reasons]:
+        same = [why["code"] for why in told] == [why["code"] for why in question.reasons]
+        if version.terms.asked_tick == event.tick or same:
             return question.evolve(at, reasons=told)
-        bound = bound_digest(version, question.effective, question.phase, codes)
+        bound = bound_digest(version, question.effective, told, question.phase)
         return question.evolve(at, reasons=told, digest=bound, acknowledged=())
 
     def _answered_meanwhile(self, version: Invocation, event: UpEvent) -> bool:

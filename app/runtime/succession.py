@@ -393,7 +393,8 @@ class Succession:
         decided = invocation.evolve(
             now, effective=effective, status=Status.AWAITING_APPROVAL, outcome=None, **judgement.parts()
         )
-        bound = bound_digest(decided, effective, carried=self._kernel.carried(decided, effective))
+        reasons = reasons_document(wanted.reasons)
+        bound = self._desk.bound(decided, effective, reasons)
         asked = question.evolve(
             now,
             constrained=effective if not question.edits else question.constrained,
@@ -402,7 +403,7 @@ class Succession:
             former_digests=_former(question, bound),
             policy_version=judgement.policy.digest,
             profile=judgement.profile,
-            reasons=reasons_document(wanted.reasons),
+            reasons=reasons,
             needed=wanted.approvers,
             approvals=(),
             acknowledged=(),
@@ -419,7 +420,7 @@ class Succession:
         now, policy = self._register.now(), self._kernel.policy.digest
         told, over = self._desk.departed.get(invocation.id, []), self._desk.conformed.get(invocation.id, [])
         kept = [why for why in question.reasons if why not in (*told, *over, FORMER_HELD)]
-        bound = bound_digest(replace(invocation, policy_version=policy), question.effective, question.phase)
+        bound = bound_digest(replace(invocation, policy_version=policy), question.effective, (), question.phase)
         asked = question.evolve(
             now,
             reasons=[*kept, *told] or [FORMER_HELD],
