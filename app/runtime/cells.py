@@ -103,6 +103,14 @@ class Arming:
     until_s: float
 
 
+class Told(NamedTuple):
+    """What a refused hand-back told whom that policy has people asked about: by which rules, with which codes."""
+
+    invocation: str
+    name: str
+    codes: frozenset[tuple[str, str]]
+
+
 @dataclass(slots=True, kw_only=True)
 class Cell:
     """What the server knows of one cell. Times are monotonic seconds."""
@@ -147,6 +155,7 @@ class Cell:
     unreconciled: Reunion | None = None
     control: Control | None = None  # who drives it by hand
     control_at: str = ""  # since when, by the wall clock
+    told_of: Told | None = None  # the newest: the same word again approves that
     unrecorded: str = ""  # the lease by which it is being taken from somebody: it moves nothing yet
     arming: Arming | None = None  # the first of the two steps out of a latched stop
     resetting: int = 0  # resets that are being recorded, or wait for another one

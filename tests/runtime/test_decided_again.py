@@ -16,12 +16,17 @@ from app.runtime.grant import GrantRequest
 
 from .conftest import AGENT, CELL, ENGINEER, OPERATOR, OPERATOR_2, HandCell, House, grasp, until
 from .test_takeover import stating
-from .test_versions import SHARED, SLOWER, edited, put_in_force
+from .test_versions import ORGANIZATION, SHARED, SLOWER, edited, put_in_force
 
 pytestmark = pytest.mark.anyio
 
 MUGS = GrantRequest(capability="grasp_object", agent=AGENT.name, cell=CELL, scope=GrantScope.TIME, minutes=10.0)
 TWO = edited(SHARED, "approvers: {default: 1", "approvers: {default: 2")
+LOOK = edited(
+    ORGANIZATION,
+    "rules:\n",
+    "rules:\n  - {id: look, applies_to: [grasp_object], then: escalate, because: Somebody looks.}\n",
+)
 
 
 async def test_a_profile_that_asks_nobody_launches_nothing_where_the_policy_changes_as_well(
@@ -125,6 +130,7 @@ async def test_what_is_handed_back_names_the_grant_it_began_by_only_while_that_s
     await cell.report("launch", made["id"], capability="takeover")
     if revoked:
         await runtime.desk.grants.revoke(given["id"], OPERATOR)
+        await asked_first(runtime, cell, made["id"], "approval_required")
     back = asyncio.ensure_future(runtime.governor.release(made["id"], OPERATOR, "resume"))
     async with stating(cell, status="running"):
         await cell.expect("launch", 3)
@@ -134,6 +140,37 @@ async def test_what_is_handed_back_names_the_grant_it_began_by_only_while_that_s
     trace = await runtime.governor.trace(made["id"], ENGINEER)
     named = [event["body"].get("grant") for event in trace if event["kind"] == "authorization"]
     assert named == [given["id"], None, None if revoked else given["id"]]  # nobody's grant is what is driven by hand
+
+
+async def asked_first(runtime: Runtime, cell: HandCell, invocation: str, *codes: str) -> None:
+    async with stating(cell, status="running"):
+        with pytest.raises(Conflict, match="the same again, which approves it") as refused:
+            await runtime.governor.release(invocation, OPERATOR, "resume")
+    assert refused.value.code == "resume_refused"
+    assert [why["code"] for why in refused.value.reasons] == list(codes)
+    assert permit(cell)["capability"] == "takeover"
+
+
+async def test_what_policy_has_come_to_ask_is_approved_by_whom_a_refused_hand_back_told(
+    runtime: Runtime, cell: HandCell
+) -> None:
+    """An approval is of what was shown: who drove was not asked, and who approved was asked about something else."""
+    made, _ = await runtime.governor.propose(AGENT, grasp())
+    question = runtime.desk.pending_for(made["id"])
+    assert question is not None
+    await runtime.desk.resolve(question.id, OPERATOR, "approve", question.digest)
+    await cell.expect("launch")
+    await cell.launched(made["id"])
+    await put_in_force(runtime, LOOK)
+    await runtime.governor.take_over(made["id"], OPERATOR)
+    await cell.report("launch", made["id"], capability="takeover")
+    await asked_first(runtime, cell, made["id"], "look", "approval_required")
+    back = asyncio.ensure_future(runtime.governor.release(made["id"], OPERATOR, "resume"))
+    async with stating(cell, status="running"):
+        await cell.expect("launch", 3)
+    await cell.report("status", made["id"], status="running", before="recovering", reason="handed_back")
+    await back
+    assert permit(cell)["approvals"] == [OPERATOR.name]
 
 
 def permit(cell: HandCell) -> dict[str, Any]:
