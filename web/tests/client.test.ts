@@ -1,5 +1,5 @@
 import { describe, expect, it } from 'vitest';
-import { Api, UNTOLD } from '../src/lib/api/client';
+import { Api, refusedWords, UNTOLD } from '../src/lib/api/client';
 
 /** A server that answers nothing until it is told to; and, as a browser, gives up what is aborted. */
 class Held {
@@ -100,5 +100,13 @@ describe('a server that holds its answers back', () => {
     const api = new Api('secret', () => Promise.reject(new TypeError('cut')));
     for (const question of [api.cells(), api.check({ capability: 'a', params: {} })]) await expect(question).rejects.toThrow('The server did not answer.');
     for (const call of [api.restrain('a', 'pause'), api.setProfile('a', 'b', 'c')]) await expect(call).rejects.toThrow(UNTOLD);
+  });
+
+  it('says why policy refused something', async () => {
+    const problem = { title: '', status: 409, code: 'resume_refused', detail: 'people are asked about this', reasons: [{ rule: 'r', code: 'c', message: 'a person is near', remedy: '' }] };
+    const api = new Api('secret', () => Promise.resolve(new Response(JSON.stringify(problem), { status: 409 })));
+    const said = await api.release('inv_1', 'resume').catch(refusedWords);
+    expect(said).toBe('People are asked about this. A person is near.');
+    expect([refusedWords(new TypeError('cut')), refusedWords('gone')]).toEqual(['cut', 'gone']);
   });
 });

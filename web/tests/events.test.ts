@@ -188,6 +188,7 @@ describe('an edit of a question that is open', () => {
     const anew: Escalation = { ...before, digest: 'another profile', renewed: 'profile_changed', approvals: [] };
     expect(['ann', 'bob'].map((who) => voidedOf(anew, log, who))).toEqual([true, false]);
     expect(voidedOf({ ...anew, approvals: [{ by: 'ann', at: '', digest: anew.digest }] }, [...log, approved(anew)], 'ann')).toBe(false);
+    expect(voidedOf({ ...before, digest: 'the gripper holds something else', approvals: [] }, log, 'ann')).toBe(true);
     expect([changedWords(anew), changedWords(before)]).toEqual(['The cell was put under another profile, and this is asked anew.', 'What is asked has changed since it came.']);
   });
 });

@@ -38,6 +38,13 @@ export class ApiError extends Error {
   }
 }
 
+/** Why something was refused, in words: policy's own reasons are those that help. */
+export function refusedWords(error: unknown): string {
+  if (!(error instanceof Error)) return String(error);
+  const reasons = error instanceof ApiError ? (error.problem.reasons ?? []) : [];
+  return [error.message, ...reasons.map(({ message }) => sentence(message))].join(' ');
+}
+
 /** The code of an answer that is no problem document of the server's: a proxy's, for instance. */
 export const UNKNOWN = 'unknown';
 const UNREACHABLE: Problem = { title: 'No answer', status: 0, detail: 'The server did not answer.', code: 'unreachable' };

@@ -41,10 +41,9 @@ export function standingEdit(asked: Escalation): Edit | null {
   return stands ? edit : null;
 }
 
-/** Whether somebody's own approval counts no more: it was of what was asked before another's edit, another policy or another profile. */
+/** Whether somebody's own approval counts no more: it was of what was asked before another's edit, or before the world, its policy or its profile changed. */
 export function voidedOf(asked: Escalation, events: readonly LogEvent[], me: string | null): boolean {
-  const edit = standingEdit(asked);
-  if (edit === null ? asked.renewed == null : edit.by === me) return false;
+  if (standingEdit(asked)?.by === me) return false;
   if (asked.approvals.some((approval) => approval.by === me)) return false;
   return events.some(({ kind, actor, body }) => {
     const of = body['escalation'] as Partial<Escalation> | undefined;

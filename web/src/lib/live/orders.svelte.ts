@@ -1,4 +1,4 @@
-import { ApiError } from '../api/client';
+import { ApiError, refusedWords } from '../api/client';
 import type { Console } from '../state/console.svelte';
 import { holdersOf, restraintsOf } from './control';
 import { deniedIsUndone } from './held';
@@ -120,7 +120,7 @@ export class Orders {
       if (word === 'pause') await api.restrain(id, word);
       else await this.letting(id, () => api.loosen(id, word, docs.seq));
     } catch (error) {
-      const why = error instanceof Error ? error.message : String(error);
+      const why = refusedWords(error);
       this.refused = [...this.refused.filter((one) => one.cell !== cell), { cell, word, why }];
     }
     clearTimeout(late);
