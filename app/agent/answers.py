@@ -70,14 +70,19 @@ class Problem(_Interrupted):
 
 
 class NotCompleted(ReinsError):
-    """A proposal that did not end in success: `invocation` is the whole document, `reasons` what to replan on."""
+    """A proposal that did not end in success: `invocation` is the whole document, `reasons` what to replan on.
+
+    Those by which policy merely constrained a parameter come last: they are not what it failed by.
+    """
 
     PARTS: ClassVar[tuple[str, ...]] = ("admission", "policy", "failure")  # of the document, that say why
 
     def __init__(self, invocation: Document) -> None:
         """Collect the reasons."""
         self.invocation = invocation
-        self.reasons = reasons_of(invocation, self.PARTS)
+        constrained = {change.get("rule") for change in documents(document(invocation.get("policy")).get("changes"))}
+        reasons = reasons_of(invocation, self.PARTS)
+        self.reasons = tuple(sorted(reasons, key=lambda reason: reason.rule in constrained))
         said = "; ".join(reason.message or reason.code for reason in self.reasons) or "no reason given"
         super().__init__(f"`{invocation.get('capability')}` {invocation.get('status')}: {said}{_again(invocation)}")
 

@@ -184,6 +184,19 @@ def test_what_policy_changed_is_no_reason_of_a_failure(failure):
     assert str(caught) == "`grasp_object` failed: the object fell"
 
 
+def test_what_policy_merely_constrained_comes_behind_what_a_refusal_is_for():
+    change = {"param": "grip_force_n", "requested": 90, "effective": 60, "rule": "human-shared/force"}
+    cut = {"rule": "human-shared/force", "code": "limited", "message": "cut to 60 N", "remedy": "60 N"}
+    denied = {
+        "outcome": "modify",
+        "changes": [change],
+        "reasons": [cut, {**cut, "rule": "authority/approval", "message": "a human denied this"}],
+    }
+    caught = Refused(invocation("denied", policy=denied))
+    assert str(caught) == "`grasp_object` denied: a human denied this; cut to 60 N"
+    assert [reason.rule for reason in caught.reasons] == ["authority/approval", "human-shared/force"]
+
+
 def test_without_a_failure_there_is_no_reason():
     ended = invocation("failed", outcome="terminated", policy=DENIED["policy"], failure=None)
     assert ExecutionFailed(ended).reasons == ()
