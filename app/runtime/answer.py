@@ -1,7 +1,7 @@
 """One person's answer to one question.
 
 What is approved is exactly what was shown. An edit is decided again; it voids earlier approvals, and where policy
-constrains the edit further, the constrained proposal is a new question. With the last approval the proposal is decided
+constrains the edit further, or has people asked about more for it, that is a new question. With the last approval the proposal is decided
 once more, because the world went on while people thought. Where policy has people asked by then for what nobody was
 shown, that is a new question as well: no approval was of it, nor is an edit.
 
@@ -129,9 +129,10 @@ class Answer:
             edits=(*self._escalation.edits, edit),
             **asking,
         )
-        if effective == filled:
+        need = judgement.need
+        if effective == filled and (need is None or not _unsaid(need, self._escalation)):
             return await self._count(edited, judgement)
-        # Policy constrained the edit further: nobody has seen that, so nobody has approved it.
+        # Policy constrained the edit further, or has people asked about more: nobody has seen that, so nobody approved.
         await self._commit_pending(edited, "edit")
         return edited
 

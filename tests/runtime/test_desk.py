@@ -446,8 +446,9 @@ async def test_an_edit_that_takes_more_people_says_why(runtime: Runtime, cell: H
     _, question = await asked(runtime, lever)
     assert question["needed"] == 1
     edited = await answer(runtime, question, params={"tool": "press", "action": "press"})
-    assert (edited["status"], edited["needed"]) == ("pending", 2)
+    assert (edited["status"], edited["needed"], edited["approvals"]) == ("pending", 2, [])
     assert "organization/press-two-approvers" in [reason["rule"] for reason in edited["reasons"]]
+    assert (await answer(runtime, edited))["status"] == "pending"  # nor has the one who edited it been shown that
     assert (await answer(runtime, edited, who=OPERATOR_2))["status"] == "approved"
 
 
@@ -556,6 +557,24 @@ async def test_an_approval_of_one_load_is_none_of_another(
     assert await refusal(runtime, anew) == "digest_mismatch"  # nor is that one's of what is held by now
     last = await answer(runtime, await runtime.desk.get(question["id"]), params=params)
     assert (last["status"], last["effective"]) == ("approved", {**question["effective"], **(params or {})})
+    assert len(cell.all("launch")) == 1
+
+
+async def test_an_edit_that_policy_asks_more_about_is_asked_about_before_it_counts(
+    runtime: Runtime, cell: HandCell
+) -> None:
+    box = {"visible": True, "reachable": True, "x_m": 1.6, "y_m": 5.25, "z_m": 0.8, "stamp_s": 1.0}
+    cell.facts = {**AT_BENCH, "objects": {**AT_BENCH["objects"], "box_1": box}}
+    await cell.state()
+    await runtime.governor.set_profile(CELL, "real-restricted", OPERATOR)
+    grasping = ProposalRequest(capability="grasp_object", params={"object_id": "mug_1"}, metadata={"confidence": 0.2})
+    _, question = await asked(runtime, grasping)
+    assert [reason["code"] for reason in question["reasons"]] == ["low_confidence"]
+    edited = await answer(runtime, question, params={"object_id": "box_1"})
+    assert (edited["status"], edited["approvals"], edited["effective"]["object_id"]) == ("pending", [], "box_1")
+    assert {"low_confidence", "payload_margin"} == {reason["code"] for reason in edited["reasons"]}
+    assert not cell.all("launch")
+    assert (await answer(runtime, edited))["status"] == "approved"
     assert len(cell.all("launch")) == 1
 
 
