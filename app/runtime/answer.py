@@ -1,9 +1,9 @@
 """One person's answer to one question.
 
 What is approved is exactly what was shown. An edit is decided again; it voids earlier approvals, and where policy
-constrains the edit further, or has people asked about more for it, that is a new question. With the last approval the proposal is decided
-once more, because the world went on while people thought. Where policy has people asked by then for what nobody was
-shown, that is a new question as well: no approval was of it, nor is an edit.
+constrains the edit further, or has people asked about more for it, that is a new question. With the last approval the
+proposal is decided once more, because the world went on while people thought. Where policy has people asked by then for
+what nobody was shown, that is a new question as well: no approval was of it, nor is an edit.
 
 Answering a session's question: *approve* lets it go on (recorded first, and only to a cell that is there), *deny* ends
 it as policy says: it comes to rest (sent first), or is undone (recorded first).
