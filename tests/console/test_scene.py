@@ -5,11 +5,12 @@ from __future__ import annotations
 import base64
 import json
 import math
+import re
 from collections.abc import Iterator
 from typing import Any
 
 import pytest
-from playwright.sync_api import expect
+from playwright.sync_api import Route, expect
 
 from tests.conftest import ServerProcess, Servers, until
 from tests.console.conftest import DESK, PHONE, Floor, People, Person, box
@@ -49,6 +50,7 @@ people:
 """
 LOSE = "(canvas) => canvas.getContext('webgl2').getExtension('WEBGL_lose_context').loseContext()"
 MUCH = 0.2
+LOST = 2  # how often what draws is lost on its way
 
 
 def drawn(person: Person) -> float:
@@ -218,3 +220,28 @@ def test_a_browser_without_3d_says_so_and_shows_the_rest(server: ServerProcess, 
     expect(scene.get_by_role("group", name="Views")).to_have_count(0)
     scene.get_by_role("button", name="Pause").click()
     server.await_status(drive["id"], "paused")
+
+
+@pytest.mark.drawn
+def test_what_draws_the_cell_is_fetched_again_when_it_did_not_come(
+    server: ServerProcess, people: People, floor: Floor
+) -> None:
+    """Over a bad link: nothing says that this browser cannot draw, and nobody has to load the console anew."""
+    person = people.open(f"{server.url}/icon.svg")
+    person.expects("ERR_CONNECTION_RESET")
+    asked: list[str] = []
+
+    def lose_some(route: Route) -> None:
+        asked.append(route.request.url)
+        if len(asked) <= LOST:
+            route.abort("connectionreset")
+        else:
+            route.continue_()
+
+    person.page.route(re.compile(r"/assets/view-[^/]*\.js"), lose_some)
+    person.page.goto(f"{server.url}/#token={server.tokens['operator']}")
+    scene = person.region("The cell in 3D")
+    expect(scene.get_by_text("could not be loaded yet; it is fetched again")).to_be_visible()
+    expect(scene.get_by_text("could not be loaded yet")).to_be_hidden()
+    until(lambda: drawn(person) > MUCH or person.page.wait_for_timeout(100), what="a cell that is drawn")
+    assert len(asked) == LOST + 1
