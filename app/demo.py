@@ -59,7 +59,11 @@ class ServerFailed(Exception):
 
 
 def demo(folder: Path, *, scripted: bool, keep: bool, pace: float, port: int) -> int:
-    """Run the demo in a new directory under `folder`; return 0 only if the record shows every step."""
+    """Run the demo in a new directory under `folder`; return 0 only if the record shows every step.
+
+    `keep` leaves its server running until somebody ends it, also where the story fell short: there is more to look at.
+    """
+    code = FINDING
     data = DataDir(root=(folder / rfc3339(wall_s()).replace(":", "-")).resolve())
     data.create()
     habits = parse_habits(dict(HABITS)) if scripted else None
@@ -68,13 +72,13 @@ def demo(folder: Path, *, scripted: bool, keep: bool, pace: float, port: int) ->
     try:
         with _server(data, pace=pace, port=port) as (process, url):
             code = _play(data, url, habits)
-            if keep and code == FINE:
+            if keep:
                 say(f"\nthe server keeps running at {url}; Ctrl-C ends it. Tokens:")
                 for name, token in orjson.loads(data.tokens.read_bytes()).items():
                     say(f"  {name:<11} {token}")
                 process.wait()
     except KeyboardInterrupt:
-        return FINE if keep else FINDING
+        return code
     except (ServerFailed, ReinsError) as error:  # also one that ends while the story is told
         say_error(str(error), hint=f"the server's own words: {_said(data.root / 'server.log')}")
         return MISUSE if isinstance(error, ServerFailed) and error.misused else FINDING
