@@ -31,7 +31,7 @@ from app.runtime.drafts import (
     with_reason,
 )
 from app.runtime.errors import Conflict, InvalidParams
-from app.runtime.escalation import APPROVED, DENIED, ROLLBACK
+from app.runtime.escalation import APPROVED, DENIED, ROLLBACK, bound_digest
 from app.runtime.invocation import reasons_document
 from app.runtime.readmission import lapsed, readmitted
 
@@ -235,8 +235,7 @@ class Answer:
         )
         shown = self._invocation.evolve(now, escalation=asked.reference())
         await self._questions.commit([escalation_event(asked)], asked, shown)
-        message = "people are asked about something else by now; valid is to read the question again first"
-        raise Conflict("digest_mismatch", message, reasons=asking["reasons"])
+        raise _asked_anew(asking["reasons"])
 
     def _granting(self, closed: Escalation) -> tuple[Escalation, tuple[Standing, ...]]:
         if self._grant is None:
@@ -290,8 +289,11 @@ class Answer:
     async def _go_on_anew(self, cell: Cell, closed: Escalation, decided: Moment) -> Escalation:
         """Let a session go on that a human drove and left: what it does is decided again, and bound anew."""
         present = self._invocation
-        judgement, approvals = await readmitted(self._questions, cell, present, self._principal)
-        async with self._kernel.launch(present, judgement, approvals, anew=decided) as launch:
+        found = await readmitted(self._questions, cell, present, self._principal)
+        if found.unasked is not None and _unsaid(found.unasked, self._escalation):
+            await self._ask_more(found.unasked)
+        judgement = found.judgement
+        async with self._kernel.launch(present, judgement, found.approvals, anew=decided) as launch:
             terms = replace(launch.invocation.terms, undone_by=None)  # it goes on: its end is the agent's as well
             version = present.evolve(
                 closed.updated_at,
@@ -302,6 +304,21 @@ class Answer:
             drafts = [self._event("approve", closed), *judgement.recheck_events(present), *launch.events]
             await self._questions.commit(drafts, closed, version, launch.rows)
         return closed
+
+    async def _ask_more(self, need: ApprovalNeed) -> NoReturn:
+        """Ask also about what policy has people asked from here, and the question does not say.
+
+        Raises:
+            Conflict: `digest_mismatch`, always.
+            RecordUnavailable: nothing more is asked; the next answer meets the same.
+        """
+        now, present = self._register.now(), self._escalation
+        reasons = [*present.reasons, *(why for why in reasons_document(need.reasons) if why not in present.reasons)]
+        bound = bound_digest(self._invocation, present.effective, reasons, present.phase)
+        asked = present.evolve(now, reasons=reasons, digest=bound, acknowledged=())
+        shown = self._invocation.evolve(now, escalation=asked.reference())
+        await self._questions.commit([escalation_event(asked)], asked, shown)
+        raise _asked_anew(reasons)
 
     async def end(self, why: Denial) -> Escalation:
         """End the session as policy says of a denial."""
@@ -332,6 +349,11 @@ def _unsaid(need: ApprovalNeed, shown: Escalation) -> bool:
     """Say whether people would be asked for something that a question does not say."""
     said = {(why["rule"], why["code"]) for why in shown.reasons}
     return any((why.rule, why.code) not in said for why in need.reasons)
+
+
+def _asked_anew(reasons: Sequence[Mapping[str, str]]) -> Conflict:
+    message = "people are asked about something else by now; valid is to read the question again first"
+    return Conflict("digest_mismatch", message, reasons=reasons)
 
 
 def _edit_refused(judgement: Judgement) -> Conflict:

@@ -104,11 +104,10 @@ class Arming:
 
 
 class Told(NamedTuple):
-    """What a refused hand-back told whom that policy has people asked about: by which rules, with which codes."""
+    """That a hand-back was refused for what policy has people asked about from there: of what, and where it stands."""
 
-    invocation: str
-    name: str
-    codes: frozenset[tuple[str, str]]
+    of: tuple[object, ...]
+    seq: int
 
 
 @dataclass(slots=True, kw_only=True)
@@ -155,7 +154,7 @@ class Cell:
     unreconciled: Reunion | None = None
     control: Control | None = None  # who drives it by hand
     control_at: str = ""  # since when, by the wall clock
-    told_of: Told | None = None  # the newest: the same word again approves that
+    told_of: Told | None = None  # the newest: who has seen it approves that by the same word
     unrecorded: str = ""  # the lease by which it is being taken from somebody: it moves nothing yet
     arming: Arming | None = None  # the first of the two steps out of a latched stop
     resetting: int = 0  # resets that are being recorded, or wait for another one

@@ -22,7 +22,7 @@ from app.runtime.errors import Conflict, NotFound
 from app.runtime.hands import HELD, RETURNING, given_back
 from app.runtime.invocation import Invocation, may_see
 from app.runtime.overtaken import check_newest
-from app.runtime.readmission import readmitted
+from app.runtime.readmission import readmitted, tell_first
 from app.runtime.uncut import uncut
 
 if TYPE_CHECKING:
@@ -101,7 +101,7 @@ class Handbacks:
         cell.control = returning(keep(control, monotonic_s()))
         try:
             if then == "resume":
-                await self._resume(cell, present.id, principal, decided)
+                await self._resume(cell, present.id, principal, decided, after)
             else:
                 await self._roll_back(cell, present.id, principal, decided)
         except BaseException:
@@ -126,16 +126,19 @@ class Handbacks:
         await self.register.say(self._word("release", present, principal, document, then="end"))
         return await self._returned(present.id, "end")
 
-    async def _resume(self, cell: Cell, invocation: str, principal: Principal, decided: Moment) -> None:
+    async def _resume(
+        self, cell: Cell, invocation: str, principal: Principal, decided: Moment, after: int | None
+    ) -> None:
         entry = self.register.entry(invocation)
         if entry is None:
             raise Conflict("wrong_status", f"`{invocation}` has ended")
         async with entry.lock:
             present = _still_held(entry, cell)
             self.desk.ask_again(principal)
-            judgement, approvals = await readmitted(self.desk, cell, present, principal)
-            document = cell.control_document() or {}
-            async with self.kernel.launch(present, judgement, approvals, anew=decided) as launch:
+            found = await readmitted(self.desk, cell, present, principal)
+            document, judgement = cell.control_document() or {}, found.judgement
+            await tell_first(self.register, cell, present, found, str(document.get("lease")), after)
+            async with self.kernel.launch(present, judgement, found.approvals, anew=decided) as launch:
                 word = self._word("release", present, principal, document, then="resume")
                 terms = replace(launch.invocation.terms, undone_by=None)  # it goes on: its end is the agent's as well
                 digest = judgement.policy.digest  # it may be another one that is in force by now

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, cast
 
 from app.governance.model import EventKind
@@ -22,14 +23,23 @@ if TYPE_CHECKING:
     from app.runtime.register import Register
 
 
-async def readmitted(
-    desk: Questions, cell: Cell, present: Invocation, principal: Principal
-) -> tuple[Judgement, tuple[str, ...]]:
-    """Decide again on what a session does, from where the robot is now; returns the judgement and who approved it.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Readmission:
+    """A session that policy lets go on from where the robot is now.
 
-    Whoever approved its launch and may approve nothing any more is none of them, nor is a grant that has ended. Where
-    policy has people asked from here for what nobody was shown at the launch, letting it go on is an approval of that
-    only by whom a refusal has told of it: the first attempt is refused with the reasons, the same again approves them.
+    `approvals` is who approved it, whoever lets it go on among them. `unasked` is what that one approves by it: what
+    policy has people asked from here, and too few of those who approved the launch were shown. They have to be, first.
+    """
+
+    judgement: Judgement
+    approvals: tuple[str, ...]
+    unasked: ApprovalNeed | None
+
+
+async def readmitted(desk: Questions, cell: Cell, present: Invocation, principal: Principal) -> Readmission:
+    """Decide again on what a session does, from where the robot is now.
+
+    Whoever approved its launch and may approve nothing any more is none of them, nor is a grant that has ended.
 
     Raises:
         Conflict: `resume_refused`, with the reasons.
@@ -41,39 +51,44 @@ async def readmitted(
     judgement = desk.kernel.judge(present.proposal(effective), present.agent, cell, within=present)
     if not judgement.conforms(effective):
         raise _refused("policy does not let it go on from here", judgement.reasons())
-    if (need := judgement.need) is not None:
-        # Those who were asked about all of it; a grant may be of one of them.
-        asked = approvals if _codes(need) <= shown else ()
+    unasked = judgement.need
+    if unasked is not None:
+        # Those who were asked about all of it, in these words; a grant may be of one of them.
+        asked = approvals if {(why.rule, why.code, why.message) for why in unasked.reasons} <= shown else ()
         people = {name for name in asked if not name.startswith(GRANTED)} - {present.agent}
-        _check_approved(need, people, cell, present, principal)
+        if len(people | {principal.name} - {present.agent}) < unasked.approvers:
+            raise _refused("it takes more approvals from here", unasked.reasons)
+        unasked = None if len(people) >= unasked.approvers else unasked
     if principal.name not in (*approvals, present.agent):
         approvals = (*approvals, principal.name)
-    return judgement, approvals
+    return Readmission(judgement=judgement, approvals=approvals, unasked=unasked)
 
 
-def _check_approved(
-    need: ApprovalNeed, people: set[str], cell: Cell, present: Invocation, principal: Principal
+async def tell_first(
+    register: Register, cell: Cell, present: Invocation, found: Readmission, lease: str, after: int | None
 ) -> None:
-    """Refuse what too few people have approved, among them whoever lets it go on, once they know what of."""
-    if len(people) >= need.approvers:
+    """Let a hand-back count as an approval only if it was said after a refusal that told what of.
+
+    The refusal is recorded, so `after` says whether it was seen. It counts for one lease, under one policy and profile.
+
+    Raises:
+        Conflict: `resume_refused`, with the reasons.
+        RecordUnavailable: nobody was told.
+    """
+    if (need := found.unasked) is None:
         return
-    if len(people | {principal.name} - {present.agent}) < need.approvers:
-        raise _refused("it takes more approvals from here", need.reasons)
-    told = Told(present.id, principal.name, _codes(need))
-    if cell.told_of == told:
-        return
-    cell.told_of = told
-    raise _refused(
-        "policy has people asked about this from here; valid: the same again, which approves it", need.reasons
-    )
+    judgement, codes = found.judgement, frozenset((why.rule, why.code) for why in need.reasons)
+    of = (present.id, lease, judgement.policy.digest, judgement.profile, need.approvers, codes)
+    if cell.told_of is None or cell.told_of.of != of:
+        *_, seq = await register.append(judgement.recheck_events(present))
+        cell.told_of = Told(of, seq)
+    if after is None or after < cell.told_of.seq:
+        again = f"whoever hands back again approves that; valid: `after` at least `{cell.told_of.seq}`"
+        raise _refused(f"policy has people asked about this from here: {again}", need.reasons)
 
 
 def _refused(message: str, reasons: Sequence[Reason]) -> Conflict:
     return Conflict("resume_refused", message, reasons=reasons_document(tuple(reasons)))
-
-
-def _codes(need: ApprovalNeed) -> frozenset[tuple[str, str]]:
-    return frozenset((why.rule, why.code) for why in need.reasons)
 
 
 def _counts(desk: Questions, name: str) -> bool:
@@ -82,8 +97,8 @@ def _counts(desk: Questions, name: str) -> bool:
     return desk.grants.may_give(name)
 
 
-async def _approvals(register: Register, invocation: str) -> tuple[tuple[str, ...], frozenset[tuple[str, str]]]:
-    """Return who approved the session when it was launched, and by which rules and codes they were asked."""
+async def _approvals(register: Register, invocation: str) -> tuple[tuple[str, ...], frozenset[tuple[str, str, str]]]:
+    """Return who approved the session when it was launched, and by which rules, codes and words they were asked."""
     events = await register.store.events(invocation=invocation, kind=EventKind.AUTHORIZATION, limit=1)
     if not events:
         return (), frozenset()
@@ -92,8 +107,8 @@ async def _approvals(register: Register, invocation: str) -> tuple[tuple[str, ..
         invocation=invocation, kind=EventKind.APPROVAL, before=events[0].seq, newest=True, limit=1
     )
     asked = cast("list[dict[str, dict[str, Any]]]", [answer.payload() for answer in answers])
-    shown = {(why["rule"], why["code"]) for answer in asked for why in answer["escalation"]["reasons"]}
-    return tuple(permit["approvals"]), frozenset(shown)
+    reasons = [why for answer in asked for why in answer["escalation"]["reasons"]]
+    return tuple(permit["approvals"]), frozenset((why["rule"], why["code"], why["message"]) for why in reasons)
 
 
 def lapsed(invocation: Invocation) -> bool:

@@ -130,31 +130,36 @@ async def test_what_is_handed_back_names_the_grant_it_began_by_only_while_that_s
     await cell.report("launch", made["id"], capability="takeover")
     if revoked:
         await runtime.desk.grants.revoke(given["id"], OPERATOR)
-        await asked_first(runtime, cell, made["id"], "approval_required")
-    back = asyncio.ensure_future(runtime.governor.release(made["id"], OPERATOR, "resume"))
-    async with stating(cell, status="running"):
-        await cell.expect("launch", 3)
-    await cell.report("status", made["id"], status="running", before="recovering", reason="handed_back")
-    await back
+    told = await asked_first(runtime, cell, made["id"], "approval_required") if revoked else None
+    await handed_back(runtime, cell, made["id"], after=told)
     assert permit(cell)["approvals"] == ([] if revoked else [f"grant:{given['id']}"]) + [OPERATOR.name]
     trace = await runtime.governor.trace(made["id"], ENGINEER)
     named = [event["body"].get("grant") for event in trace if event["kind"] == "authorization"]
     assert named == [given["id"], None, None if revoked else given["id"]]  # nobody's grant is what is driven by hand
 
 
-async def asked_first(runtime: Runtime, cell: HandCell, invocation: str, *codes: str) -> None:
+async def asked_first(runtime: Runtime, cell: HandCell, invocation: str, *codes: str, after: int | None = None) -> int:
     async with stating(cell, status="running"):
-        with pytest.raises(Conflict, match="the same again, which approves it") as refused:
-            await runtime.governor.release(invocation, OPERATOR, "resume")
+        with pytest.raises(Conflict, match="whoever hands back again approves that") as refused:
+            await runtime.governor.release(invocation, OPERATOR, "resume", after=after)
     assert refused.value.code == "resume_refused"
     assert [why["code"] for why in refused.value.reasons] == list(codes)
     assert permit(cell)["capability"] == "takeover"
+    newest = (await runtime.governor.trace(invocation, ENGINEER))[-1]
+    assert (newest["kind"], newest["body"]["outcome"]) == ("policy", "escalate" if "look" in codes else "allow")
+    return newest["seq"]
 
 
-async def test_what_policy_has_come_to_ask_is_approved_by_whom_a_refused_hand_back_told(
-    runtime: Runtime, cell: HandCell
-) -> None:
-    """An approval is of what was shown: who drove was not asked, and who approved was asked about something else."""
+async def handed_back(runtime: Runtime, cell: HandCell, invocation: str, after: int | None = None) -> None:
+    back = asyncio.ensure_future(runtime.governor.release(invocation, OPERATOR, "resume", after=after))
+    async with stating(cell, status="running"):
+        await cell.expect("launch", len(cell.all("launch")) + 1)
+    await cell.report("status", invocation, status="running", before="recovering", reason="handed_back")
+    await back
+
+
+async def approved(runtime: Runtime, cell: HandCell) -> str:
+    """Return a grasp that was launched on one approval, and about which another policy has people asked more."""
     made, _ = await runtime.governor.propose(AGENT, grasp())
     question = runtime.desk.pending_for(made["id"])
     assert question is not None
@@ -162,15 +167,56 @@ async def test_what_policy_has_come_to_ask_is_approved_by_whom_a_refused_hand_ba
     await cell.expect("launch")
     await cell.launched(made["id"])
     await put_in_force(runtime, LOOK)
-    await runtime.governor.take_over(made["id"], OPERATOR)
-    await cell.report("launch", made["id"], capability="takeover")
-    await asked_first(runtime, cell, made["id"], "look", "approval_required")
-    back = asyncio.ensure_future(runtime.governor.release(made["id"], OPERATOR, "resume"))
-    async with stating(cell, status="running"):
-        await cell.expect("launch", 3)
-    await cell.report("status", made["id"], status="running", before="recovering", reason="handed_back")
-    await back
+    return made["id"]
+
+
+async def taken(runtime: Runtime, cell: HandCell, invocation: str) -> None:
+    await runtime.governor.take_over(invocation, OPERATOR)
+    await cell.report("launch", invocation, capability="takeover")
+
+
+async def test_what_policy_has_come_to_ask_is_approved_by_whom_a_refused_hand_back_told(
+    runtime: Runtime, cell: HandCell
+) -> None:
+    """An approval is of what was shown: who drove was not asked, and who approved was asked about something else."""
+    session = await approved(runtime, cell)
+    await taken(runtime, cell, session)
+    told = await asked_first(runtime, cell, session, "look", "approval_required")
+    for unseen in (None, told - 1):  # a word that was sent twice, or before the refusal was seen
+        assert await asked_first(runtime, cell, session, "look", "approval_required", after=unseen) == told
+    await handed_back(runtime, cell, session, after=told)
     assert permit(cell)["approvals"] == [OPERATOR.name]
+
+
+async def test_what_one_hand_back_was_told_of_is_told_again_at_the_next(runtime: Runtime, cell: HandCell) -> None:
+    session = await approved(runtime, cell)
+    await taken(runtime, cell, session)
+    told = await asked_first(runtime, cell, session, "look", "approval_required")
+    await handed_back(runtime, cell, session, after=told)
+    await taken(runtime, cell, session)
+    assert await asked_first(runtime, cell, session, "look", "approval_required", after=told) > told
+
+
+async def test_of_two_equal_answers_after_a_lapse_none_counts_for_what_was_not_asked(
+    runtime: Runtime, cell: HandCell
+) -> None:
+    session = await approved(runtime, cell)
+    await taken(runtime, cell, session)
+    await cell.report("status", session, status="escalated", reason="control_lapsed")
+    await cell.report("escalation", session, reason="control_lapsed", failure="taken_over")
+    await until(lambda: (asked := runtime.desk.pending_for(session)) is None or runtime.desk.outdated(asked) is None)
+    question = runtime.desk.pending_for(session)
+    assert question is not None
+    launched = len(cell.all("launch"))
+    answers = [runtime.desk.resolve(question.id, OPERATOR, "approve", question.digest) for _ in range(2)]
+    found = await asyncio.gather(*answers, return_exceptions=True)
+    assert [error.code for error in found if isinstance(error, Conflict)] == ["digest_mismatch"] * 2
+    assert len(cell.all("launch")) == launched
+    asked = runtime.desk.pending_for(session)
+    assert asked is not None
+    assert {"control_lapsed", "look", "approval_required"} <= {why["code"] for why in asked.reasons}
+    await runtime.desk.resolve(asked.id, OPERATOR, "approve", asked.digest)
+    await cell.expect("launch", launched + 1)
 
 
 def permit(cell: HandCell) -> dict[str, Any]:
