@@ -18,7 +18,7 @@ class PlayedWorker {
     // nothing runs
   }
   say(message: object): void {
-    this.onmessage?.({ data: [{ is: 'message', message }] });
+    this.onmessage?.({ data: [{ is: 'message', message, atMs: performance.now() }] });
   }
   up(): void {
     this.onmessage?.({ data: [{ is: 'health', health: { state: 'up', rttMs: 1, framesPerS: 30, why: '' }, atMs: performance.now() }] });

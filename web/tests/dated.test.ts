@@ -17,7 +17,7 @@ class PlayedWorker {
     this.told.push(message);
   }
   say(...messages: Down[]): void {
-    this.onmessage?.({ data: messages.map((message) => ({ is: 'message', message })) });
+    this.onmessage?.({ data: messages.map((message) => ({ is: 'message', message, atMs: performance.now() })) });
   }
   /** Says how the link is, as it was at that time by its own clock. */
   feels(atMs: number, state: Health['state'] = 'up'): void {
@@ -38,7 +38,7 @@ describe('a hold-to-run command', () => {
     vi.useFakeTimers({ now: 5_000 });
     vi.stubGlobal('Worker', PlayedWorker);
     vi.stubGlobal('location', { protocol: 'http:', host: 'here', href: 'http://here/', origin: 'http://here' });
-    link = new Link('secret', { message: () => undefined, frame: () => undefined, health: () => undefined, refused: () => undefined });
+    link = new Link('secret', { message: () => undefined, frame: () => undefined, health: () => undefined, refused: () => undefined, behindMs: () => 0 });
   });
   afterEach(() => {
     link.end();
@@ -73,13 +73,15 @@ describe('a page that is slow to take what has come', () => {
   let link: Link;
   let seen: Health[];
   let told: Down[];
+  let came: number[];
+  let behindMs: number;
 
   beforeEach(() => {
     vi.useFakeTimers({ now: 5_000 });
     vi.stubGlobal('Worker', PlayedWorker);
     vi.stubGlobal('location', { protocol: 'http:', host: 'here', href: 'http://here/', origin: 'http://here' });
-    [seen, told] = [[], []];
-    link = new Link('secret', { message: (message) => told.push(message), frame: () => undefined, health: (health) => seen.push(health), refused: () => undefined });
+    [seen, told, came, behindMs] = [[], [], [], 0];
+    link = new Link('secret', { message: (message, cameMs) => [told.push(message), came.push(cameMs)], frame: () => undefined, health: (health) => seen.push(health), refused: () => undefined, behindMs: () => behindMs });
   });
   afterEach(() => {
     link.end();
@@ -101,6 +103,21 @@ describe('a page that is slow to take what has come', () => {
     expect(seen.at(-1)).toMatchObject({ rttMs: null, why: BUSY });
     expect(taken(10)).toBe('up');
     expect(taken(4_000, 'down')).toBe('down');
+  });
+
+  it('shows nothing as the present where what has come waits for longer to be drawn', () => {
+    taken(0);
+    behindMs = 1_100;
+    expect(taken(0)).toBe('late');
+    expect(seen.at(-1)).toMatchObject({ rttMs: null, why: BUSY });
+    behindMs = 900;
+    expect(taken(0)).toBe('up');
+  });
+
+  it('knows when what it takes came', () => {
+    taken(0);
+    PlayedWorker.newest.onmessage?.({ data: [{ is: 'message', message: WELCOME, atMs: performance.now() - ITS_CLOCK_MS - 700 }] });
+    expect(came).toEqual([performance.now() - 700]);
   });
 
   it('is no page that comes and goes', () => {

@@ -57,6 +57,20 @@ describe('the pace of drawing', () => {
     expect(drawn).toEqual([0, 800 + MOST_MS, 2 * (800 + MOST_MS)]);
   });
 
+  it('says how old what is shown will be once what waits is drawn', async () => {
+    expect(pace.behindMs()).toBe(0);
+    pace.ask();
+    await vi.advanceTimersByTimeAsync(COST_MS);
+    expect(pace.behindMs()).toBe(0);
+    pace.ask(Date.now() - 500); // it waited before it was taken
+    pace.ask();
+    expect(pace.behindMs()).toBe(500 + COST_MS);
+    await vi.advanceTimersByTimeAsync(100);
+    expect(pace.behindMs()).toBe(600 + COST_MS);
+    await vi.advanceTimersByTimeAsync(SHARE * COST_MS);
+    expect(pace.behindMs()).toBe(0);
+  });
+
   it('goes on after a drawing that failed', async () => {
     let fails = true;
     const failing = new Pace(() => {

@@ -7,10 +7,13 @@ import type { FromWorker, ToWorker } from './worker';
 
 /** What a page learns from its link. */
 export interface LinkListener {
-  message(message: Down): void;
+  /** `cameMs`: when it came to this computer, by the page's clock. */
+  message(message: Down, cameMs: number): void;
   frame(frame: PoseFrame): void;
   health(health: Health): void;
   refused(why: string): void;
+  /** How long what has come will have waited by the time it is drawn; 0 where nothing waits. */
+  behindMs(): number;
 }
 
 /** Why what comes is late where it is not the line. */
@@ -95,7 +98,7 @@ export class Link {
     switch (said.is) {
       case 'message':
         this.acknowledge(said.message);
-        this.listener.message(said.message);
+        this.listener.message(said.message, this.cameMs(said.atMs));
         break;
       case 'frame': {
         const frame = readFrame(said.buffer);
@@ -111,12 +114,17 @@ export class Link {
     }
   }
 
-  /** A page that is too busy to take what has come shows what was so, however well the server is heard. */
+  /** When the Worker said something, by the page's clock: as if what was taken quickest had come at once. */
+  private cameMs(atMs: number): number {
+    this.leastMs = Math.min(this.leastMs, performance.now() - atMs);
+    return atMs + this.leastMs;
+  }
+
+  /** A page that is too busy to take what has come, or to draw it, shows what was so, however well the server is heard. */
   private aged(health: Health, atMs: number): Health {
     const nowMs = performance.now();
-    const tookMs = nowMs - atMs;
-    this.leastMs = Math.min(this.leastMs, tookMs);
-    const own = this.steady.take(tookMs - this.leastMs > LATE_MS ? 'late' : 'up', nowMs);
+    const oldMs = Math.max(nowMs - this.cameMs(atMs), this.listener.behindMs());
+    const own = this.steady.take(oldMs > LATE_MS ? 'late' : 'up', nowMs);
     return health.state === 'up' && own !== 'up' ? { ...health, state: own, rttMs: null, why: BUSY } : health;
   }
 

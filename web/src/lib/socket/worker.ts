@@ -6,9 +6,9 @@ import { Outbox } from './outbox';
 /** `took`: the page has taken what it was told last. */
 export type ToWorker = { do: 'open'; url: string; token: string } | { do: 'send'; message: Up } | { do: 'took' } | { do: 'end' };
 export type FromWorker =
-  | { is: 'message'; message: Down }
+  /** `atMs`: when it came, or was so, by the Worker's own clock. */
+  | { is: 'message'; message: Down; atMs: number }
   | { is: 'frame'; buffer: ArrayBuffer }
-  /** `atMs`: when it was so, by the Worker's own clock. */
   | { is: 'health'; health: Health; atMs: number }
   | { is: 'refused'; why: string };
 
@@ -24,7 +24,7 @@ scope.onmessage = ({ data }) => {
     case 'open':
       connection?.end();
       connection = new Connection(data.url, data.token, {
-        message: (message) => page.put({ is: 'message', message }),
+        message: (message) => page.put({ is: 'message', message, atMs: performance.now() }),
         frame: (buffer) => page.put({ is: 'frame', buffer }),
         health: (health) => page.put({ is: 'health', health, atMs: performance.now() }),
         refused: (why) => page.put({ is: 'refused', why }),

@@ -120,7 +120,7 @@ export class Console {
     this.revoking = new Revoking(this.api);
     this.reviewing = new Reviewing(this.api, () => this.me?.name ?? null, (review) => this.reviewed(review));
     this.link = new Link(token, {
-      message: (message) => this.take(message),
+      message: (message, cameMs) => this.take(message, cameMs),
       frame: (frame) => this.show(frame),
       health: (health) => {
         this.health = health;
@@ -128,6 +128,7 @@ export class Console {
       refused: (why) => {
         this.refused = why;
       },
+      behindMs: () => this.pace.behindMs(),
     });
     this.attending = setInterval(() => {
       this.quietly = this.quiet.look(performance.now());
@@ -295,7 +296,7 @@ export class Console {
     this.ends.take(events, this.me?.name ?? null);
   }
 
-  private take(message: Down): void {
+  private take(message: Down, cameMs: number): void {
     switch (message.type) {
       case 'welcome':
         clock.sync(message.at);
@@ -312,7 +313,7 @@ export class Console {
       case 'update':
         this.latest = merged(this.latest, message);
         this.gather(message.events);
-        this.pace.ask();
+        this.pace.ask(cameMs);
         if (message.events?.some((event) => event.kind === 'policy_activated') === true) void this.fetchPolicy();
         break;
       case 'beat':

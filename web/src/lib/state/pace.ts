@@ -15,6 +15,10 @@ export class Pace {
   private running = false;
   /** What the drawing before took, ms. */
   private before = Infinity;
+  /** What one is taken to cost, ms. */
+  private cost = 0;
+  /** When the oldest of what waits to be drawn came. */
+  private cameMs = Infinity;
 
   /**
    * @param draw what is to be done when there is something new.
@@ -26,10 +30,16 @@ export class Pace {
     private readonly now: () => number = () => performance.now(),
   ) {}
 
-  /** There is something new. */
-  ask(): void {
+  /** There is something new, which came then. */
+  ask(cameMs = this.now()): void {
     this.wanted = true;
+    this.cameMs = Math.min(this.cameMs, cameMs);
     if (!this.running) void this.run();
+  }
+
+  /** How old what is shown will be when what waits is drawn, if that were now; 0 where nothing waits. */
+  behindMs(): number {
+    return this.wanted ? this.now() - this.cameMs + this.cost : 0;
   }
 
   private async run(): Promise<void> {
@@ -37,14 +47,15 @@ export class Pace {
     try {
       while (this.wanted) {
         this.wanted = false;
+        this.cameMs = Infinity;
         const began = this.now();
         this.draw();
         await this.drawn();
         const took = this.now() - began;
-        const cost = Math.min(took, this.before);
+        this.cost = Math.min(took, this.before);
         this.before = took;
         // A hidden page's timers may be late by a minute, and nobody presses keys there.
-        if (!hidden()) await pause(Math.max(LEAST_MS - took, Math.min(MOST_MS, (SHARE - 1) * cost)));
+        if (!hidden()) await pause(Math.max(LEAST_MS - took, Math.min(MOST_MS, (SHARE - 1) * this.cost)));
       }
     } finally {
       this.running = false;
