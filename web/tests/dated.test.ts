@@ -9,6 +9,7 @@ class PlayedWorker {
   static newest: PlayedWorker;
   told: ToWorker[] = [];
   onmessage: ((event: { data: FromWorker[] }) => void) | null = null;
+  onerror: (() => void) | null = null;
 
   constructor() {
     PlayedWorker.newest = this;
@@ -136,6 +137,21 @@ describe('a page that is slow to take what has come', () => {
     expect(seen).toEqual([]);
     vi.advanceTimersByTime(1_000); // and then it did not: nobody says anything any more
     expect(seen.at(-1)?.state).toBe('down');
+  });
+
+  it('has another Worker hold the socket, and watch the same, where the one that spoke has ended', () => {
+    const first = PlayedWorker.newest;
+    vi.advanceTimersByTime(10_000);
+    expect(PlayedWorker.newest).toBe(first); // its script may be on its way
+    taken(0);
+    link.send({ type: 'watch', cells: ['c'] });
+    vi.advanceTimersByTime(4_000);
+    expect([PlayedWorker.newest, seen.at(-1)?.state]).toEqual([first, 'down']);
+    vi.advanceTimersByTime(2_000);
+    expect(PlayedWorker.newest).not.toBe(first);
+    expect([first.onmessage, seen.at(-1)?.state]).toEqual([null, 'down']);
+    expect(PlayedWorker.newest.told).toMatchObject([{ do: 'open', token: 'secret' }, { do: 'send', message: { type: 'watch', cells: ['c'] } }]);
+    expect(taken(0)).toBe('up');
   });
 
   it('says that it has taken what came together, also where one of that is none', () => {

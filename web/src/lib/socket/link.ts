@@ -22,6 +22,9 @@ export const BUSY = 'This computer is too busy.';
 /** The Worker is silent for this long: it is the link that cannot be vouched for. */
 export const WORKER_SILENT_MS = 600;
 
+/** One that spoke and is silent for so long has ended: another takes its place. */
+export const WORKER_GONE_MS = 5_000;
+
 const LOOK_MS = 200;
 /** What counts of the time between two looks: a page that was busy has not looked, and what the Worker said meanwhile lies before it. */
 const LOOKED_MS = 250;
@@ -39,6 +42,8 @@ export class Link {
   private silentMs = 0;
   private lookedMs = performance.now();
   private framesTaken = 0;
+  /** What is watched, for a Worker that has to be told of it. */
+  private watched: Up | null = null;
   private beat = { n: 0, takenMs: 0 };
   /** How long what the Worker says takes at least until it is taken here, by two clocks of which each began by itself. */
   private leastMs = Infinity;
@@ -58,10 +63,12 @@ export class Link {
     worker.onerror = () => (this.again = setTimeout(() => (this.worker = this.begin()), AGAIN_MS));
     const url = `${location.protocol === 'https:' ? 'wss' : 'ws'}://${location.host}/v1/console`;
     worker.postMessage({ do: 'open', url, token: this.token } satisfies ToWorker);
+    if (this.watched !== null) worker.postMessage({ do: 'send', message: this.watched } satisfies ToWorker);
     return worker;
   }
 
   send(message: Up): void {
+    if (message.type === 'watch') this.watched = message;
     this.post({ do: 'send', message });
   }
 
@@ -151,6 +158,15 @@ export class Link {
     if (this.silentMs > WORKER_SILENT_MS) {
       this.listener.health({ state: 'down', rttMs: null, framesPerS: 0, why: '' });
     }
+    // What has not spoken yet may still be on its way here.
+    if (this.silentMs > WORKER_GONE_MS && this.worker.onerror === null) this.replace();
+  }
+
+  private replace(): void {
+    this.worker.onmessage = null;
+    this.worker.terminate();
+    this.silentMs = 0;
+    this.worker = this.begin();
   }
 }
 
