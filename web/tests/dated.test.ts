@@ -108,10 +108,14 @@ describe('a page that is slow to take what has come', () => {
 
   it('shows nothing as the present where what has come waits for longer to be drawn', () => {
     taken(0);
+    behindMs = 900;
+    expect(taken(0)).toBe('up');
     behindMs = 1_100;
     expect(taken(0)).toBe('late');
     expect(seen.at(-1)).toMatchObject({ rttMs: null, why: BUSY });
     behindMs = 900;
+    expect(taken(0)).toBe('late'); // it would not last
+    behindMs = 400;
     expect(taken(0)).toBe('up');
   });
 

@@ -47,6 +47,7 @@ export class Link {
   private beat = { n: 0, takenMs: 0 };
   /** How long what the Worker says takes at least until it is taken here, by two clocks of which each began by itself. */
   private leastMs = Infinity;
+  private behind = false;
   private readonly steady = new Steady();
   private readonly timer: ReturnType<typeof setInterval>;
 
@@ -131,7 +132,9 @@ export class Link {
   private aged(health: Health, atMs: number): Health {
     const nowMs = performance.now();
     const oldMs = Math.max(nowMs - this.cameMs(atMs), this.listener.behindMs());
-    const own = this.steady.take(oldMs > LATE_MS ? 'late' : 'up', nowMs);
+    // Once behind it has to catch up well, or the answers would come and go under a finger.
+    const own = this.steady.take(oldMs > (this.behind ? LATE_MS / 2 : LATE_MS) ? 'late' : 'up', nowMs);
+    this.behind = own !== 'up';
     return health.state === 'up' && own !== 'up' ? { ...health, state: own, rttMs: null, why: BUSY } : health;
   }
 
