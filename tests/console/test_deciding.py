@@ -117,6 +117,9 @@ def test_a_question_appears_and_is_answered_by_one_key_and_a_denial_gives_the_ag
     expect(reasons).to_be_focused()  # a denial needs a reason, and here none suggests itself
     expect(card(person).get_by_role("alert")).to_have_text("Why? Choose a reason, then press Deny again.")
     assert server.get(f"/v1/invocations/{proposed['id']}")["status"] == "awaiting_approval"
+    person.press("Shift+Tab")
+    expect(person.button(re.compile("^Deny"))).to_be_focused()  # not the button beside it, which approves
+    press_until(person, "d", gone=person.page.locator(":not(select):focus"))
     reasons.select_option(label="person in the way")
     expect(card(person).get_by_role("alert")).to_have_count(0)
     card(person).get_by_role("heading").click()
