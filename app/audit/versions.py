@@ -12,6 +12,8 @@ given up. So whoever decides takes them from the log, and an auditor compares.
 | `refuted`, `undecided` | why nothing was |
 | `policy_activated` | that it came into force; where an engineer wanted it, for whom and why |
 
+The files of a version that are kept (`policy_files`) are those of its digest, which every decision names in the log.
+
 Not stated, so not compared: what earlier releases did not say of the promises that a start brought.
 """
 
@@ -21,6 +23,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import orjson
 
+from app.governance.bundle import digest as digest_of
 from app.governance.model import EventKind
 
 if TYPE_CHECKING:
@@ -135,7 +138,20 @@ def version_problems(reader: Reader, *, limit: int) -> list[str]:
     found += [
         f"`{name}`: the log knows it, the table `policies` does not" for name in sorted(told.keys() - rows.keys())
     ]
+    found += [
+        f"`{row['digest']}`: the files that are kept of it are not those of its digest"
+        for row in reader.rows("policy_files")
+        if not _are_files_of(row)
+    ]
     return found[:limit]
+
+
+def _are_files_of(row: Row) -> bool:
+    try:
+        files: dict[str, str] = orjson.loads(row["files"])
+        return digest_of(files) == row["digest"]
+    except (orjson.JSONDecodeError, TypeError, AttributeError):
+        return False
 
 
 def _all(reader: Reader, kind: str) -> Iterator[Event]:

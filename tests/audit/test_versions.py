@@ -15,6 +15,7 @@ from app.audit.places import Places
 from app.audit.reader import Reader, Row
 from app.audit.store import AuditStore
 from app.audit.versions import KEPT_ACTIVATIONS, Told, told_of, version_problems
+from app.governance.bundle import digest
 from tests.audit.conftest import TIME, draft
 
 pytestmark = pytest.mark.anyio
@@ -92,6 +93,24 @@ async def test_rows_that_say_what_the_log_says_are_no_problem(store: AuditStore,
     assert version_problems(reader, limit=5) == []
     both = [{"at": TIME, **ACTIVATION}, by_a_start]
     await store.append([entered(**ACTIVATION), entered()], [kept(activations=both)])
+    assert version_problems(reader, limit=5) == []
+
+
+async def test_the_files_that_are_kept_are_those_of_their_digest(store: AuditStore, reader: Reader) -> None:
+    files = {"organization.yaml": "rules: []\n"}
+    row = {"digest": digest(files), "created_at": TIME}
+    for altered in (
+        {"organization.yaml": "rules: [ ]\n"},
+        {"other.yaml": "rules: []\n"},
+        {"organization.yaml": 1},
+        [1],
+        None,
+    ):
+        await store.append([], [RowWrite(table="policy_files", values={**row, "files": orjson.dumps(altered)})])
+        assert version_problems(reader, limit=5) == [
+            f"`{digest(files)}`: the files that are kept of it are not those of its digest"
+        ]
+    await store.append([], [RowWrite(table="policy_files", values={**row, "files": orjson.dumps(files)})])
     assert version_problems(reader, limit=5) == []
 
 
