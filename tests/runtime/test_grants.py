@@ -12,6 +12,7 @@ import pytest
 
 from app.audit.errors import RecordUnavailable
 from app.audit.store import AuditStore
+from app.governance import bundle
 from app.governance.model import GrantScope, Risk, Role
 from app.governance.policy import PolicySet
 from app.governance.policy_model import GrantTerms
@@ -333,7 +334,7 @@ async def test_a_grant_survives_a_restart_and_not_another_policy(house: House, p
         await cell.state()
         assert [one.public() for one in runtime.desk.grants.active()] == [given]
         assert await status(runtime) == "allowed"
-    house.policy = replace(policy, digest="sha256:another")
+    house.policy = bundle.load_files({**policy.files, "site.yaml": f"{policy.files['site.yaml']}# surveyed again\n"})
     async with house.open() as runtime:
         assert (await newest(runtime))["ended"]["code"] == "policy_changed"
 
