@@ -13,6 +13,7 @@ from app.governance.model import GrantScope
 from app.runtime.assembly import Runtime
 from app.runtime.errors import Conflict
 from app.runtime.grant import GrantRequest
+from app.runtime.invocation import Principal
 
 from .conftest import AGENT, CELL, ENGINEER, OPERATOR, OPERATOR_2, HandCell, House, grasp, until
 from .test_takeover import stating
@@ -102,19 +103,12 @@ async def test_a_grant_is_nobody_of_those_whom_a_hand_back_takes(runtime: Runtim
 async def test_who_may_approve_no_more_is_nobody_of_those_whom_a_hand_back_takes(
     house: House, runtime: Runtime, cell: HandCell
 ) -> None:
-    made, _ = await runtime.governor.propose(AGENT, grasp())
-    question = runtime.desk.pending_for(made["id"])
-    assert question is not None
-    await runtime.desk.resolve(question.id, OPERATOR_2, "approve", question.digest)
-    await cell.expect("launch")
-    await cell.launched(made["id"])
-    await put_in_force(runtime, TWO)
-    await runtime.governor.take_over(made["id"], OPERATOR)
-    await cell.report("launch", made["id"], capability="takeover")
+    session = await approved(runtime, cell, OPERATOR_2, TWO)
+    await taken(runtime, cell, session)
     house.withdrawn.add(OPERATOR_2.name)
     async with stating(cell, status="running"):
         with pytest.raises(Conflict, match="more approvals"):
-            await runtime.governor.release(made["id"], OPERATOR, "resume")
+            await runtime.governor.release(session, OPERATOR, "resume")
     assert permit(cell)["capability"] == "takeover"
 
 
@@ -158,15 +152,15 @@ async def handed_back(runtime: Runtime, cell: HandCell, invocation: str, after: 
     await back
 
 
-async def approved(runtime: Runtime, cell: HandCell) -> str:
-    """Return a grasp that was launched on one approval, and about which another policy has people asked more."""
+async def approved(runtime: Runtime, cell: HandCell, by: Principal, files: dict[str, str]) -> str:
+    """Return a grasp that was launched on one approval, before policy of these files came into force."""
     made, _ = await runtime.governor.propose(AGENT, grasp())
     question = runtime.desk.pending_for(made["id"])
     assert question is not None
-    await runtime.desk.resolve(question.id, OPERATOR, "approve", question.digest)
+    await runtime.desk.resolve(question.id, by, "approve", question.digest)
     await cell.expect("launch")
     await cell.launched(made["id"])
-    await put_in_force(runtime, LOOK)
+    await put_in_force(runtime, files)
     return made["id"]
 
 
@@ -179,7 +173,7 @@ async def test_what_policy_has_come_to_ask_is_approved_by_whom_a_refused_hand_ba
     runtime: Runtime, cell: HandCell
 ) -> None:
     """An approval is of what was shown: who drove was not asked, and who approved was asked about something else."""
-    session = await approved(runtime, cell)
+    session = await approved(runtime, cell, OPERATOR, LOOK)
     await taken(runtime, cell, session)
     told = await asked_first(runtime, cell, session, "look", "approval_required")
     for unseen in (None, told - 1):  # a word that was sent twice, or before the refusal was seen
@@ -189,7 +183,7 @@ async def test_what_policy_has_come_to_ask_is_approved_by_whom_a_refused_hand_ba
 
 
 async def test_what_one_hand_back_was_told_of_is_told_again_at_the_next(runtime: Runtime, cell: HandCell) -> None:
-    session = await approved(runtime, cell)
+    session = await approved(runtime, cell, OPERATOR, LOOK)
     await taken(runtime, cell, session)
     told = await asked_first(runtime, cell, session, "look", "approval_required")
     await handed_back(runtime, cell, session, after=told)
@@ -200,7 +194,7 @@ async def test_what_one_hand_back_was_told_of_is_told_again_at_the_next(runtime:
 async def test_of_two_equal_answers_after_a_lapse_none_counts_for_what_was_not_asked(
     runtime: Runtime, cell: HandCell
 ) -> None:
-    session = await approved(runtime, cell)
+    session = await approved(runtime, cell, OPERATOR, LOOK)
     await taken(runtime, cell, session)
     await cell.report("status", session, status="escalated", reason="control_lapsed")
     await cell.report("escalation", session, reason="control_lapsed", failure="taken_over")
