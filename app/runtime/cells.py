@@ -104,9 +104,11 @@ class Arming:
 
 
 class Told(NamedTuple):
-    """That a hand-back was refused for what policy has people asked about from there: of what, and where it stands."""
+    """That a hand-back was refused for what policy has people asked about from there, and which event says so."""
 
-    of: tuple[object, ...]
+    lease: str
+    approvers: int
+    digest: str  # of what is approved by handing back again
     seq: int
 
 

@@ -137,7 +137,7 @@ class Handbacks:
             self.desk.ask_again(principal)
             found = await readmitted(self.desk, cell, present, principal)
             document, judgement = cell.control_document() or {}, found.judgement
-            await tell_first(self.register, cell, present, found, str(document.get("lease")), after)
+            await tell_first(self.desk, cell, present, found, str(document.get("lease")), after)
             async with self.kernel.launch(present, judgement, found.approvals, anew=decided) as launch:
                 word = self._word("release", present, principal, document, then="resume")
                 terms = replace(launch.invocation.terms, undone_by=None)  # it goes on: its end is the agent's as well

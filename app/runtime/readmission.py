@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, cast
 
 from app.governance.model import EventKind
@@ -13,14 +13,13 @@ from app.runtime.invocation import reasons_document
 from app.runtime.kernel import GRANTED
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from app.governance.model import ApprovalNeed, Reason
     from app.runtime.cells import Cell
     from app.runtime.invocation import Invocation, Principal
     from app.runtime.kernel import Judgement
     from app.runtime.questions import Questions
-    from app.runtime.register import Register
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -45,7 +44,7 @@ async def readmitted(desk: Questions, cell: Cell, present: Invocation, principal
         Conflict: `resume_refused`, with the reasons.
     """
     # First: nothing is awaited between the decision and the launch.
-    said, shown = await _approvals(desk.register, present.id)
+    said, shown = await _approvals(desk, present)
     approvals = tuple(name for name in said if _counts(desk, name))
     effective = dict(present.effective or {})
     judgement = desk.kernel.judge(present.proposal(effective), present.agent, cell, within=present)
@@ -65,11 +64,12 @@ async def readmitted(desk: Questions, cell: Cell, present: Invocation, principal
 
 
 async def tell_first(
-    register: Register, cell: Cell, present: Invocation, found: Readmission, lease: str, after: int | None
+    desk: Questions, cell: Cell, present: Invocation, found: Readmission, lease: str, after: int | None
 ) -> None:
     """Let a hand-back count as an approval only if it was said after a refusal that told what of.
 
-    The refusal is recorded, so `after` says whether it was seen. It counts for one lease, under one policy and profile.
+    The refusal is recorded, so `after` says whether it was seen. It counts for one lease, and for what an approval of a
+    launch is bound to.
 
     Raises:
         Conflict: `resume_refused`, with the reasons.
@@ -77,13 +77,15 @@ async def tell_first(
     """
     if (need := found.unasked) is None:
         return
-    judgement, codes = found.judgement, frozenset((why.rule, why.code) for why in need.reasons)
-    of = (present.id, lease, judgement.policy.digest, judgement.profile, need.approvers, codes)
-    if cell.told_of is None or cell.told_of.of != of:
-        *_, seq = await register.append(judgement.recheck_events(present))
-        cell.told_of = Told(of, seq)
-    if after is None or after < cell.told_of.seq:
-        again = f"whoever hands back again approves that; valid: `after` at least `{cell.told_of.seq}`"
+    judgement = found.judgement
+    now = replace(present, policy_version=judgement.policy.digest, profile=judgement.profile)
+    bound = desk.bound(now, present.effective or {}, reasons_document(need.reasons))
+    told = cell.told_of
+    if told is None or (told.lease, told.approvers, told.digest) != (lease, need.approvers, bound):
+        *_, seq = await desk.register.append(judgement.recheck_events(present))
+        told = cell.told_of = Told(lease=lease, approvers=need.approvers, digest=bound, seq=seq)
+    if after is None or after < told.seq:
+        again = f"whoever hands back again approves that; valid: `after` at least `{told.seq}`"
         raise _refused(f"policy has people asked about this from here: {again}", need.reasons)
 
 
@@ -97,18 +99,29 @@ def _counts(desk: Questions, name: str) -> bool:
     return desk.grants.may_give(name)
 
 
-async def _approvals(register: Register, invocation: str) -> tuple[tuple[str, ...], frozenset[tuple[str, str, str]]]:
-    """Return who approved the session when it was launched, and by which rules, codes and words they were asked."""
-    events = await register.store.events(invocation=invocation, kind=EventKind.AUTHORIZATION, limit=1)
-    if not events:
+async def _approvals(
+    desk: Questions, present: Invocation
+) -> tuple[tuple[str, ...], frozenset[tuple[str, str, str]]]:
+    """Return who approved the session when it was launched, and by which rules, codes and words they were asked.
+
+    By none of them where the gripper held something else then, and that is what is handled.
+    """
+    events = desk.register.store.events
+    launched = await events(invocation=present.id, kind=EventKind.AUTHORIZATION, limit=1)
+    if not launched:
         return (), frozenset()
-    permit = cast("dict[str, list[str]]", events[0].payload()["authorization"])
-    answers = await register.store.events(
-        invocation=invocation, kind=EventKind.APPROVAL, before=events[0].seq, newest=True, limit=1
+    permit = cast("dict[str, list[str]]", launched[0].payload()["authorization"])
+    answers = await events(
+        invocation=present.id, kind=EventKind.APPROVAL, before=launched[0].seq, newest=True, limit=1
     )
-    asked = cast("list[dict[str, dict[str, Any]]]", [answer.payload() for answer in answers])
-    reasons = [why for answer in asked for why in answer["escalation"]["reasons"]]
+    asked = cast("list[dict[str, Any]]", [answer.payload()["escalation"] for answer in answers])
+    reasons = [why for question in asked if _same(desk, present, question) for why in question["reasons"]]
     return tuple(permit["approvals"]), frozenset((why["rule"], why["code"], why["message"]) for why in reasons)
+
+
+def _same(desk: Questions, present: Invocation, question: Mapping[str, Any]) -> bool:
+    then = replace(present, policy_version=question.get("policy_version"), profile=question.get("profile"))
+    return desk.bound(then, question["effective"], question["reasons"]) == question["digest"]
 
 
 def lapsed(invocation: Invocation) -> bool:

@@ -13,9 +13,10 @@ from app.governance.model import GrantScope
 from app.runtime.assembly import Runtime
 from app.runtime.errors import Conflict
 from app.runtime.grant import GrantRequest
-from app.runtime.invocation import Principal
+from app.runtime.invocation import Principal, ProposalRequest
 
 from .conftest import AGENT, CELL, ENGINEER, OPERATOR, OPERATOR_2, HandCell, House, grasp, until
+from .test_desk import holding
 from .test_takeover import stating
 from .test_versions import ORGANIZATION, SHARED, SLOWER, edited, put_in_force
 
@@ -26,7 +27,7 @@ TWO = edited(SHARED, "approvers: {default: 1", "approvers: {default: 2")
 LOOK = edited(
     ORGANIZATION,
     "rules:\n",
-    "rules:\n  - {id: look, applies_to: [grasp_object], then: escalate, because: Somebody looks.}\n",
+    "rules:\n  - {id: look, applies_to: [grasp_object, transport_object], then: escalate, because: Somebody looks.}\n",
 )
 
 
@@ -103,7 +104,8 @@ async def test_a_grant_is_nobody_of_those_whom_a_hand_back_takes(runtime: Runtim
 async def test_who_may_approve_no_more_is_nobody_of_those_whom_a_hand_back_takes(
     house: House, runtime: Runtime, cell: HandCell
 ) -> None:
-    session = await approved(runtime, cell, OPERATOR_2, TWO)
+    session = await approved(runtime, cell, OPERATOR_2)
+    await put_in_force(runtime, TWO)
     await taken(runtime, cell, session)
     house.withdrawn.add(OPERATOR_2.name)
     async with stating(cell, status="running"):
@@ -152,15 +154,14 @@ async def handed_back(runtime: Runtime, cell: HandCell, invocation: str, after: 
     await back
 
 
-async def approved(runtime: Runtime, cell: HandCell, by: Principal, files: dict[str, str]) -> str:
-    """Return a grasp that was launched on one approval, before policy of these files came into force."""
-    made, _ = await runtime.governor.propose(AGENT, grasp())
+async def approved(runtime: Runtime, cell: HandCell, by: Principal, request: ProposalRequest | None = None) -> str:
+    """Return a session, a grasp if not said, that was launched on one approval."""
+    made, _ = await runtime.governor.propose(AGENT, request or grasp())
     question = runtime.desk.pending_for(made["id"])
     assert question is not None
     await runtime.desk.resolve(question.id, by, "approve", question.digest)
     await cell.expect("launch")
     await cell.launched(made["id"])
-    await put_in_force(runtime, files)
     return made["id"]
 
 
@@ -173,7 +174,8 @@ async def test_what_policy_has_come_to_ask_is_approved_by_whom_a_refused_hand_ba
     runtime: Runtime, cell: HandCell
 ) -> None:
     """An approval is of what was shown: who drove was not asked, and who approved was asked about something else."""
-    session = await approved(runtime, cell, OPERATOR, LOOK)
+    session = await approved(runtime, cell, OPERATOR)
+    await put_in_force(runtime, LOOK)
     await taken(runtime, cell, session)
     told = await asked_first(runtime, cell, session, "look", "approval_required")
     for unseen in (None, told - 1):  # a word that was sent twice, or before the refusal was seen
@@ -183,7 +185,8 @@ async def test_what_policy_has_come_to_ask_is_approved_by_whom_a_refused_hand_ba
 
 
 async def test_what_one_hand_back_was_told_of_is_told_again_at_the_next(runtime: Runtime, cell: HandCell) -> None:
-    session = await approved(runtime, cell, OPERATOR, LOOK)
+    session = await approved(runtime, cell, OPERATOR)
+    await put_in_force(runtime, LOOK)
     await taken(runtime, cell, session)
     told = await asked_first(runtime, cell, session, "look", "approval_required")
     await handed_back(runtime, cell, session, after=told)
@@ -191,10 +194,43 @@ async def test_what_one_hand_back_was_told_of_is_told_again_at_the_next(runtime:
     assert await asked_first(runtime, cell, session, "look", "approval_required", after=told) > told
 
 
+async def carrying(runtime: Runtime, cell: HandCell, thing: str, files: dict[str, str] | None = None) -> str:
+    """Return a carry that one person approved and another took over, of what is held; policy is of `files` by then."""
+    await holding(cell, thing)
+    carry = ProposalRequest(capability="transport_object", params={"target": "dock"})
+    session = await approved(runtime, cell, OPERATOR_2, carry)
+    if files is not None:
+        await put_in_force(runtime, files)
+    await taken(runtime, cell, session)
+    return session
+
+
+async def test_who_approved_one_load_is_nobody_of_those_who_let_another_go_on(runtime: Runtime, cell: HandCell) -> None:
+    """A human who drives may put down what was to be carried, and take something else."""
+    session = await carrying(runtime, cell, "mug_1")
+    await holding(cell, "driver_1")
+    await asked_first(runtime, cell, session, "approval_required")
+    await holding(cell, "mug_1")
+    await handed_back(runtime, cell, session)
+    assert permit(cell)["approvals"] == [OPERATOR_2.name, OPERATOR.name]
+
+
+async def test_what_a_refused_hand_back_told_of_one_load_approves_none_of_another(
+    runtime: Runtime, cell: HandCell
+) -> None:
+    session = await carrying(runtime, cell, "mug_1", LOOK)
+    told = await asked_first(runtime, cell, session, "look", "approval_required")
+    await holding(cell, "driver_1")
+    again = await asked_first(runtime, cell, session, "look", "approval_required", after=told)
+    assert again > told
+    await handed_back(runtime, cell, session, after=again)
+
+
 async def test_of_two_equal_answers_after_a_lapse_none_counts_for_what_was_not_asked(
     runtime: Runtime, cell: HandCell
 ) -> None:
-    session = await approved(runtime, cell, OPERATOR, LOOK)
+    session = await approved(runtime, cell, OPERATOR)
+    await put_in_force(runtime, LOOK)
     await taken(runtime, cell, session)
     await cell.report("status", session, status="escalated", reason="control_lapsed")
     await cell.report("escalation", session, reason="control_lapsed", failure="taken_over")
