@@ -24,6 +24,7 @@ export const KINDS: readonly string[] = [
 ];
 
 const PAGE = 200;
+const PIECE = 40;
 const WIDE_PAGE = 1000;
 const MOST_PAGES = 20;
 /** Each of them has the server read up to 50,000 events: a person who waits for no more than a moment is told how far it came. */
@@ -141,6 +142,11 @@ export function renewed(listed: Page<Invocation>, beginning: Page<Invocation>): 
 /** The newer of what was found and what is known by now. */
 export function newest(found: Invocation, known: Invocation | undefined): Invocation {
   return known !== undefined && Date.parse(known.updated_at) >= Date.parse(found.updated_at) ? known : found;
+}
+
+/** Returns what was found in pieces of an equal length, the last one apart. */
+export function inPieces<T>(found: readonly T[]): T[][] {
+  return Array.from({ length: Math.ceil(found.length / PIECE) }, (_, k) => found.slice(k * PIECE, (k + 1) * PIECE));
 }
 
 /** Events by their place in the log, from behind `from` on, or from where it begins. */
