@@ -15,7 +15,7 @@ import httpx
 import pytest
 from mcap.reader import make_reader
 
-from tests.conftest import PACE
+from tests.conftest import PACE, until
 
 pytestmark = [pytest.mark.process, pytest.mark.timeout(180)]
 
@@ -47,6 +47,26 @@ def test_the_demo_shows_every_step_of_algorithm_1(tmp_path: Path):
     seen = [moment for file in files for moment in scenes(file)]
     assert any(moment["people"] for moment in seen), "the person who walks in"
     assert len({moment["bodies"]["mug_1"][2] for moment in seen if "mug_1" in moment["bodies"]}) > 5, "it is lifted"
+
+
+def test_a_demo_that_fell_short_keeps_the_server_that_it_was_told_to_keep(tmp_path: Path):
+    """A human who is asked in its console denies the first thing, and looks at what came of it."""
+    command = [sys.executable, "-m", "app.cli", "demo", "--approver", "console", "--keep", "--pace", PACE]
+    demo = subprocess.Popen([*command, "--folder", str(tmp_path)], cwd=ROOT, stdout=subprocess.PIPE, text=True)
+    assert demo.stdout is not None
+    line = next(line for line in demo.stdout if line.startswith("console"))
+    url, token = line.split()[-1].split("/#token=")
+    with httpx.Client(base_url=url, headers={"Authorization": f"Bearer {token}"}) as operator:
+        question = until(lambda: operator.get("/v1/escalations").json()["items"])[0]
+        denial = {"decision": "deny", "code": "other", "digest": question["digest"]}
+        assert operator.post(f"/v1/escalations/{question['id']}/resolve", json=denial).is_success
+        assert any("keeps running" in line for line in demo.stdout)
+        assert operator.get("/readyz").is_success
+        demo.send_signal(signal.SIGINT)
+        assert demo.wait(30) == 1, "the story fell short"
+        demo.stdout.close()
+        with pytest.raises(httpx.TransportError):
+            operator.get("/healthz")
 
 
 def test_a_demo_that_is_told_to_end_or_whose_terminal_goes_takes_its_server_along(tmp_path: Path):
