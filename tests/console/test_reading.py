@@ -111,6 +111,26 @@ def test_what_cannot_be_shown_or_read_says_so_and_everything_else_goes_on(
     expect(person.region("Replay")).to_contain_text("Nothing ran under this proposal")
 
 
+def test_the_list_of_keys_tells_of_what_comes_and_hides_nothing_that_has_the_focus(
+    server: ServerProcess, people: People, floor: Floor
+) -> None:
+    person = people.sit(server)
+    person.press("?")
+    keys, first = person.page.get_by_role("dialog", name="Keys"), person.page.get_by_role("button", name="Close")
+    answers = keys.get_by_role("heading", name="At an open question")
+    expect(answers).to_contain_text("not now")
+    proposed = floor.ask()
+    expect(answers).not_to_contain_text("not now")
+    expect(first).to_be_focused()
+    person.press("Shift+Tab")  # into the page below
+    expect(keys).to_be_hidden()
+    assert person.page.evaluate("document.activeElement.closest('#page') !== null")
+    floor.answer(proposed, "deny")
+    person.press("?")
+    person.press("Escape")
+    assert person.page.evaluate("document.activeElement.closest('#page') !== null"), "it goes back where it came from"
+
+
 def test_the_list_of_keys_shows_arrows_as_arrows(server: ServerProcess, people: People, floor: Floor) -> None:
     person = people.sit(server)
     person.page.evaluate(f"location.hash = '#/audit/{floor.ask()['id']}'")
