@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from urllib.parse import urlsplit
 
 import pytest
@@ -9,7 +10,7 @@ from playwright.sync_api import CDPSession, Route, expect
 
 from app.clock import monotonic_s
 from app.governance.control import LAPSE_S, LATE_S
-from tests.conftest import ServerProcess, until
+from tests.conftest import ServerProcess, put_in_profile, until
 from tests.console.conftest import (
     DESK,
     DESK_SMALL,
@@ -519,6 +520,31 @@ def test_why_the_controls_were_not_given_is_said_as_long_as_it_is_so_and_stays_i
     expect(panel.get_by_role("alert")).to_contain_text("operator_2")
     other.button("End session").click()
     expect(panel.get_by_role("alert")).to_have_count(0)
+
+
+@pytest.fixture
+def shared_again(server: ServerProcess) -> Iterator[None]:
+    yield
+    put_in_profile(server, "human-shared")
+
+
+def test_what_runs_is_taken_over_by_the_profile_it_was_launched_under(
+    server: ServerProcess, people: People, floor: Floor, shared_again: None
+) -> None:
+    person = people.sit(server)
+    floor.drive_off()
+    person.press("t")
+    panel = person.region("Drive by hand")
+    put_in_profile(server, "sim-relaxed")  # nobody takes the controls of what is launched there
+    expect(panel).to_contain_text(HOLDS)
+    person.button("Take the controls").click()
+    expect(person.page.get_by_text(LET_GO)).to_be_visible()
+    person.button("End session").click()
+    expect(panel).to_contain_text("Nobody takes the controls under “sim-relaxed”: put workcell-1")
+    floor.drive_off()
+    put_in_profile(server, "human-shared")
+    expect(panel).to_contain_text("Nobody takes the controls of what was launched under “sim-relaxed”")
+    expect(person.button("Take the controls")).to_be_disabled()
 
 
 def test_a_pause_that_is_refused_stands_where_it_was_pressed(
