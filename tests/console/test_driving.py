@@ -528,19 +528,23 @@ def shared_again(server: ServerProcess) -> Iterator[None]:
     put_in_profile(server, "human-shared")
 
 
-def test_what_runs_is_taken_over_by_the_profile_it_was_launched_under(
+def test_what_runs_is_taken_over_by_the_profile_it_was_launched_under_and_says_which_that_is(
     server: ServerProcess, people: People, floor: Floor, shared_again: None
 ) -> None:
     person = people.sit(server)
     floor.drive_off()
     person.press("t")
-    panel = person.region("Drive by hand")
+    panel, session = person.region("Drive by hand"), person.region("Session")
     put_in_profile(server, "sim-relaxed")  # nobody takes the controls of what is launched there
+    expect(session).to_contain_text(
+        "Launched under human-shared, it keeps that: sim-relaxed holds for what comes next."
+    )
     expect(panel).to_contain_text(HOLDS)
     person.button("Take the controls").click()
     expect(person.page.get_by_text(LET_GO)).to_be_visible()
     person.button("End session").click()
     expect(panel).to_contain_text("Nobody takes the controls under “sim-relaxed”: put workcell-1")
+    expect(session).not_to_contain_text("Launched under")
     floor.drive_off()
     put_in_profile(server, "human-shared")
     expect(panel).to_contain_text("Nobody takes the controls of what was launched under “sim-relaxed”")
