@@ -87,6 +87,7 @@ describe('what a person orders', () => {
     expect(echo('resume', 'new_code')).toBe('workcell-1 does not obey: resume, new code');
     expect(echo('jog', 'blocked')).toBe('workcell-1 does not obey: drive by hand, the base has met something');
     expect(echo('let_go', null)).toBe('workcell-1 is at rest again');
+    expect(echo('let_go', 'not_taken_over')).toBe('workcell-1 was let go of already');
   });
 
   it('is told of what a hand asks for, and which way', () => {

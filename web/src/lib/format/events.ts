@@ -212,6 +212,8 @@ const OF_THE_CELL: ReadonlySet<string> = new Set(['jog', 'let_go', 'confirm', 'e
 function echo(op: string, body: Body, event: LogEvent): Line | null {
   const order = toldWords(op, body['expired'] === true);
   const refused = str(body['refused']);
+  // No hand was on the controls by then, as after a link that was lost: it is no cell that goes on against a word.
+  if (op === 'let_go' && refused === 'not_taken_over') return line('dot', 'quiet', ' was let go of already', event.actor);
   if (refused !== '') return line('refused', 'warn', ` does not obey: ${order}, ${undoneWords(refused)}`, event.actor);
   if (body['done'] === false) return line('refused', 'warn', ` does not obey: ${order}`, event.actor);
   return OF_THE_CELL.has(op) ? null : line('dot', 'quiet', ` obeys: ${order}`, event.actor);
