@@ -17,6 +17,8 @@ describe('a question that others closed', () => {
     expect(words([about('pending', 'approve'), about('denied', 'deny')])).toBe('operator_2 denied.');
     expect(words([asks('pending'), asks('expired')])).toBe('Nobody answered in time.');
     expect(words([event('approval', { escalation: { id: 'esc_1', status: 'approved', kind: 'session' } }, 'inv_1', 'ann')])).toBe('ann let it go on.');
+    const held = (more: LogEvent['body']): string | null => words([event('approval', { escalation: { id: 'esc_1', status: 'denied', kind: 'session', ...more } }, 'inv_1', 'ann')]);
+    expect([held({ on_deny: 'terminate' }), held({ on_deny: 'rollback' }), held({ kind: 'approval', on_deny: 'deny' })]).toEqual(['ann ended it.', 'ann had it rolled back.', 'ann denied.']);
   });
 
   it('that was approved in vain says why', () => {

@@ -72,9 +72,15 @@ function first(name: string): string {
 }
 
 function unapproved(events: readonly LogEvent[], asked: Asked, { from, last }: { from: LogEvent | undefined; last: LogEvent }, named: Naming): string | null {
-  if (question(last)['status'] === 'denied') return `${first(named(last.actor))} denied.`;
+  if (question(last)['status'] === 'denied') return `${first(named(last.actor))} ${refusedWords(question(last))}.`;
   if (question(last)['status'] === 'expired') return unanswered(question(last), heard(events, asked));
   return instead(events, asked, from, named, last.seq) ?? renewed(events, asked, last, named);
+}
+
+/** What a denial came to: of what has begun it is no denial that is pressed, but its end. */
+function refusedWords({ kind, on_deny: then }: Record<string, Json>): string {
+  if (kind === undefined || kind === 'approval') return 'denied';
+  return then === 'rollback' ? 'had it rolled back' : 'ended it';
 }
 
 /** Whose answers were missing when the time was over. */
