@@ -500,3 +500,17 @@ def test_what_is_chosen_can_be_told_where_the_system_chooses_the_colours(server:
         found = all_of.evaluate_all(edge)
         (chosen,) = [width for current, width in found if current]
         assert chosen > max(width for current, width in found if not current) + 1, name
+
+
+def test_what_takes_no_press_can_be_told_where_the_system_chooses_the_colours(
+    server: ServerProcess, people: People, floor: Floor
+) -> None:
+    person = people.sit(server)
+    person.page.emulate_media(forced_colors="active")
+    floor.drive_off()
+    pause, resume = person.button("Pause"), person.button("Resume")
+    expect(pause).to_have_attribute("aria-disabled", "false")
+    expect(resume).to_have_attribute("aria-disabled", "true")
+    for drawn in ("color", "borderTopColor"):
+        read = f"(one) => getComputedStyle(one).{drawn}"
+        assert pause.evaluate(read) != resume.evaluate(read)
