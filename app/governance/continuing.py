@@ -8,7 +8,7 @@ say is no news, and what the new one leaves freer touches only what starts later
 |---|---|
 | does not admit it (capability, profile, permission, mode, names) | departs |
 | denies it, or holds its parameters tighter | departs |
-| watches it more strictly, recovers it less often, or has a further phase confirmed | departs |
+| watches it more strictly, recovers it less or otherwise, or has a further phase confirmed | departs |
 | wants a human's word that the old one did not want | departs, and one person's word lets it go on |
 
 A session cannot be bound to other parameters while it runs: what departs in one of the first three ways may only end.
@@ -22,17 +22,19 @@ from typing import TYPE_CHECKING, Final
 from app.governance.admission import admit
 from app.governance.authority import need
 from app.governance.guard import check
-from app.governance.model import Admission, AdmissionOutcome, PolicyOutcome, Reason
+from app.governance.model import Admission, AdmissionOutcome, PolicyOutcome, Reason, Strategy
 from app.governance.plans import confirm_before, recovery_plan, watch_plan
 from app.governance.policy_model import GOVERNANCE
+from app.governance.recovery import DEFAULT_BUDGET
 
 if TYPE_CHECKING:
-    from app.governance.model import ApprovalNeed, Context, Proposal, Verdict, WatchPlan, WatchRule
+    from app.governance.model import ApprovalNeed, Context, Proposal, RecoveryPlan, Verdict, WatchPlan, WatchRule
     from app.governance.policy import PolicySet
 
 RULE: Final = "policy/changed"
 CHANGED: Final = "policy_changed"
 END_IT: Final = "end it, and propose again"
+ANY: Final = "any"
 ACCEPTED: Final = Admission(outcome=AdmissionOutcome.ACCEPT)
 
 
@@ -134,8 +136,7 @@ def _watched(old: PolicySet, new: PolicySet, proposal: Proposal, context: Contex
     plans = [watch_plan(policy, *pair, proposal.params, proposal.mode) for policy in (old, new)]
     found = [_news("watched_tighter", f"{what} tighter now") for what in _stricter(*plans)]
     before, after = (recovery_plan(policy, *pair) for policy in (old, new))
-    if after.retry_budget < before.retry_budget or (after.rollback != before.rollback and after.rollback != "optional"):
-        found.append(_news("recovery_tighter", "recovery is bound tighter now"))
+    found += [_news("recovery_tighter", f"{what} is bound tighter now") for what in _recovers_less(before, after)]
     further = [phase for phase in confirm_before(new, *pair) if phase not in confirm_before(old, *pair)]
     found += [_news("confirmation_added", f"a human confirms `{phase}` now") for phase in further]
     return tuple(found)
@@ -143,6 +144,34 @@ def _watched(old: PolicySet, new: PolicySet, proposal: Proposal, context: Contex
 
 def _news(code: str, message: str) -> Reason:
     return Reason(RULE, code, message, END_IT)
+
+
+def _recovers_less(old: RecoveryPlan, new: RecoveryPlan) -> list[str]:
+    """Name what a plan may leave a session less to recover by: all that is another and not plainly more."""
+    rolls_back = new.rollback == old.rollback or new.rollback == "optional"
+    undone = old.rollback_capability in (None, new.rollback_capability)
+    found = [] if new.retry_budget >= old.retry_budget and rolls_back and undone else ["recovery"]
+    named = sorted({row.on for plan in (old, new) for row in plan.rules} - {ANY})
+    found += [f"what follows `{name}`" for name in named if not _within(_steps(old, name), _steps(new, name))]
+    return found if _within(_steps(old, ANY), _steps(new, ANY)) else [*found, "what follows any other failure"]
+
+
+def _steps(plan: RecoveryPlan, failure: str) -> list[tuple[Strategy, str | None, int]]:
+    """Return what a plan has tried after a failure, in order: with which capability, and how often at most."""
+    for row in plan.rules:
+        if row.on in (failure, ANY) and plan.risk in row.risks:
+            by = {Strategy.RECOVERY_CAPABILITY: row.capability}
+            had = (step for step in row.do if step is not Strategy.SAFER_MODE or plan.careful_admitted)
+            return [(step, by.get(step), row.budget.get(step, DEFAULT_BUDGET)) for step in had]
+    return []
+
+
+def _within(steps: list[tuple[Strategy, str | None, int]], wider: list[tuple[Strategy, str | None, int]]) -> bool:
+    """Say whether all steps are among others, in the same order, and each as often."""
+    left = iter(wider)
+    return all(
+        any((what, by) == (step, name) and most >= times for what, by, most in left) for step, name, times in steps
+    )
 
 
 GONE: Final = _news("its_policy_is_gone", "the policy it was authorized under is not known here any more")

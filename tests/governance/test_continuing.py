@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from typing import Any
@@ -12,7 +13,7 @@ from hypothesis import strategies as st
 
 from app.governance import bundle
 from app.governance.continuing import CONFORMS, GONE, Departure, departure
-from app.governance.model import AuthorityMode, Context, Proposal
+from app.governance.model import AuthorityMode, Context, Mode, Proposal
 from app.governance.policy import PolicySet
 from app.governance.policy_model import Agent, Confirmation
 from tests.governance.policy_world import context, files, proposal, shipped
@@ -217,6 +218,64 @@ def test_a_watch_rule_that_answers_no_sooner_is_no_reason(
 
 
 # -- recovery and confirmation -----------------------------------------------------------------------------------------
+
+
+def recovering(do: str, by: str = "release_and_retract", times: int = 1) -> PolicySet:
+    """Have what follows a lost object in a grasp be something else: it is the last of its rows that holds."""
+    before = (
+        "  - on: object_lost\n    do: [recovery_capability, retry, ask_human]\n    capability: release_and_retract\n"
+    )
+    before += "    budget: {recovery_capability: 1, retry: 1}\n"
+    moves = "recovery_capability" in do
+    row = f"  - on: object_lost\n    do: [{do}]\n" + f"    capability: {by}\n" * moves
+    return edited((SHARED, before, row + f"    budget: {{recovery_capability: {times}}}\n" * moves))
+
+
+@pytest.mark.parametrize(
+    "less",
+    [
+        lambda: recovering("ask_human"),
+        lambda: recovering("retry, ask_human"),
+        lambda: recovering("recovery_capability, ask_human"),
+        lambda: recovering("retry, recovery_capability, ask_human"),
+        lambda: recovering("recovery_capability, retry, terminate"),
+        lambda: recovering("recovery_capability, retry, ask_human", by="safe_retreat"),
+    ],
+)
+def test_departs_when_less_or_something_else_follows_a_failure(less: Callable[[], PolicySet]) -> None:
+    found = between(shipped(), less())
+    assert [(reason.code, reason.message) for reason in found.reasons] == [
+        ("recovery_tighter", "what follows `object_lost` is bound tighter now")
+    ]
+    assert not found.askable
+    drive = proposal("transport_object", target="bench_b_stand", speed_mps=0.3)
+    assert between(shipped(), less(), drive, context(HERE, holding="mug_1")) is CONFORMS, "another row is its own"
+
+
+def test_goes_on_when_more_follows_a_failure_and_departs_when_it_is_tried_less_often() -> None:
+    asks, twice = recovering("ask_human"), recovering("recovery_capability, retry, ask_human", times=2)
+    assert between(asks, shipped()) is CONFORMS
+    assert between(shipped(), twice) is CONFORMS
+    assert codes(between(twice, shipped())) == ["recovery_tighter"]
+
+
+def test_departs_when_nothing_follows_a_failure_any_more() -> None:
+    nothing = with_profile(recovery=())
+    assert "what follows any other failure is bound tighter now" in [
+        reason.message for reason in between(shipped(), nothing).reasons
+    ]
+    assert between(nothing, shipped()) is CONFORMS
+
+
+def test_departs_when_it_is_undone_otherwise_or_not_at_all() -> None:
+    for rollback in ("safe_retreat", None):
+        assert "recovery_tighter" in codes(between(shipped(), with_capability(rollback=rollback)))
+    assert between(with_capability(rollback=None), shipped()) is CONFORMS
+
+
+def test_departs_when_what_is_tried_carefully_is_not_admitted_any_more() -> None:
+    found = between(shipped(), with_profile(admits=frozenset({Mode.NORMAL})))
+    assert codes(found).count("recovery_tighter") == len(found.reasons) > 1
 
 
 def test_departs_when_a_further_phase_has_to_be_confirmed() -> None:
