@@ -285,13 +285,22 @@ class Floor:
     latest: dict[str, Any] = field(default_factory=dict)  # what was answered to the last proposal
 
     def ask(self, object_id: str = "mug_1", **metadata: Any) -> dict[str, Any]:
-        """Propose a grasp, which waits for a person; what is out of reach would be put off for good."""
+        """Propose a grasp, which waits for a person."""
+        self._at_the_bench()
+        return self._propose("awaiting_approval", "grasp_object", metadata, object_id=object_id, force_n=80)
+
+    def grasp_slowly(self) -> dict[str, Any]:
+        """Propose a grasp that a standing grant answers for, and that takes a while."""
+        self._at_the_bench()
+        return self._propose("running", "grasp_object", {}, object_id="mug_1", speed_mps=0.02)
+
+    def _at_the_bench(self) -> None:
+        """Have the robot where it reaches things: a grasp of what is out of reach would be put off for good."""
         cell = self.server.cell()
         away = cell["facts"] and math.dist(cell["facts"]["base"][:2], STANDS["bench_a_stand"]) > REACH_M
         if away and cell["busy"] is None and not cell["latched"]:
             self.drive(target="bench_a_stand")
             until(lambda: self.server.cell()["busy"] is None, what="a robot that is back at the bench")
-        return self._propose("awaiting_approval", "grasp_object", metadata, object_id=object_id, force_n=80)
 
     def answer(self, asked: dict[str, Any], decision: str) -> None:
         path = f"/v1/escalations/{asked['escalation']['id']}"

@@ -222,6 +222,28 @@ def test_the_controls_are_neither_taken_by_a_double_press_on_what_offers_them_no
         expect(take).to_have_count(0)
 
 
+@pytest.mark.parametrize("after_ms", SOON_MS)
+def test_handing_back_approves_nothing_before_there_was_time_to_read_what(
+    server: ServerProcess, people: People, floor: Floor, after_ms: int
+) -> None:
+    body = {"capability": "grasp_object", "agent": "planner", "cell": "workcell-1", "scope": "time", "minutes": 5}
+    given = server.post("/v1/grants", body, key="operator_2").json()
+    session = floor.grasp_slowly()
+    person = people.sit(server)
+    person.expects("409.*/release")
+    offered(person, DESK).click()
+    expect(person.page.get_by_text(LET_GO)).to_be_visible()
+    assert server.post(f"/v1/grants/{given['id']}/revoke", key="operator_2").is_success
+    back, released = person.button("Agent goes on"), listed(person, "/release")
+    person.twice(back, after_ms)
+    expect(person.alert("Medium risk needs approval in human-shared.")).to_be_visible()
+    expect(back).to_be_enabled()
+    assert len(released) == 1
+    assert server.cell()["control"]["invocation"] == session["id"]
+    back.click()
+    until(lambda: server.cell()["control"] is None, what="a session that was handed back")
+
+
 def test_a_pause_counts_at_once(server: ServerProcess, people: People, floor: Floor) -> None:
     person = people.sit(server, size=PHONE)
     floor.drive_off()
