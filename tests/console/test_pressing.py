@@ -6,7 +6,7 @@ import re
 from itertools import product
 
 import pytest
-from playwright.sync_api import Locator, expect
+from playwright.sync_api import Locator, Route, expect
 
 from tests.conftest import ServerProcess, until
 from tests.console.conftest import DESK, PHONE, Floor, People, Person, at_once, box, stop
@@ -239,6 +239,38 @@ def test_handing_back_approves_nothing_before_there_was_time_to_read_what(
     expect(person.alert("Medium risk needs approval in human-shared.")).to_be_visible()
     expect(back).to_be_enabled()
     assert len(released) == 1
+    assert server.cell()["control"]["invocation"] == session["id"]
+    back.click()
+    until(lambda: server.cell()["control"] is None, what="a session that was handed back")
+
+
+def test_handing_back_approves_nothing_where_the_refusal_that_told_what_was_lost(
+    server: ServerProcess, people: People, floor: Floor
+) -> None:
+    body = {"capability": "grasp_object", "agent": "planner", "cell": "workcell-1", "scope": "time", "minutes": 5}
+    given = server.post("/v1/grants", body, key="operator_2").json()
+    session = floor.grasp_slowly()
+    person = people.sit(server)
+    person.expects("409.*/release|ERR_FAILED")
+    offered(person, DESK).click()
+    expect(person.page.get_by_text(LET_GO)).to_be_visible()
+    assert server.post(f"/v1/grants/{given['id']}/revoke", key="operator_2").is_success
+    back = person.button("Agent goes on")
+    answers: list[int] = []
+
+    def lose(route: Route) -> None:
+        answers.append(route.fetch().status)
+        route.abort()
+
+    person.page.route("**/release", lose)
+    back.click()
+    expect(person.alert("it is not known whether this arrived")).to_be_visible()
+    assert answers == [409]
+    person.page.unroute("**/release")
+    checked = person.region("Events").get_by_text("Checked again: still allowed")
+    expect(checked).to_be_visible()  # the page has come as far as the refusal
+    back.click()
+    expect(person.alert("Medium risk needs approval in human-shared.")).to_be_visible()
     assert server.cell()["control"]["invocation"] == session["id"]
     back.click()
     until(lambda: server.cell()["control"] is None, what="a session that was handed back")
