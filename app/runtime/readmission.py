@@ -54,7 +54,7 @@ async def readmitted(desk: Questions, cell: Cell, present: Invocation, principal
     if unasked is not None:
         # Those who were asked about all of it, in these words; a grant may be of one of them.
         asked = approvals if {(why.rule, why.code, why.message) for why in unasked.reasons} <= shown else ()
-        people = {name for name in asked if not name.startswith(GRANTED)} - {present.agent}
+        approvals, people = asked, {name for name in asked if not name.startswith(GRANTED)} - {present.agent}
         if len(people | {principal.name} - {present.agent}) < unasked.approvers:
             raise _refused("it takes more approvals from here", unasked.reasons)
         unasked = None if len(people) >= unasked.approvers else unasked

@@ -170,11 +170,12 @@ async def taken(runtime: Runtime, cell: HandCell, invocation: str) -> None:
     await cell.report("launch", invocation, capability="takeover")
 
 
+@pytest.mark.parametrize("by", [OPERATOR, OPERATOR_2], ids=["the same", "another"])
 async def test_what_policy_has_come_to_ask_is_approved_by_whom_a_refused_hand_back_told(
-    runtime: Runtime, cell: HandCell
+    runtime: Runtime, cell: HandCell, by: Principal
 ) -> None:
     """An approval is of what was shown: who drove was not asked, and who approved was asked about something else."""
-    session = await approved(runtime, cell, OPERATOR)
+    session = await approved(runtime, cell, by)
     await put_in_force(runtime, LOOK)
     await taken(runtime, cell, session)
     told = await asked_first(runtime, cell, session, "look", "approval_required")
