@@ -420,10 +420,11 @@ class Succession:
         now, policy = self._register.now(), self._kernel.policy.digest
         told, over = self._desk.departed.get(invocation.id, []), self._desk.conformed.get(invocation.id, [])
         kept = [why for why in question.reasons if why not in (*told, *over, FORMER_HELD)]
-        bound = bound_digest(replace(invocation, policy_version=policy), question.effective, (), question.phase)
+        reasons = [*kept, *told] or [FORMER_HELD]
+        bound = bound_digest(replace(invocation, policy_version=policy), question.effective, reasons, question.phase)
         asked = question.evolve(
             now,
-            reasons=[*kept, *told] or [FORMER_HELD],
+            reasons=reasons,
             digest=bound,
             former_digests=_former(question, bound),
             policy_version=policy,

@@ -12,13 +12,14 @@ import pytest
 from app.governance.model import GrantScope
 from app.runtime.assembly import Runtime
 from app.runtime.errors import Conflict
+from app.runtime.escalation import Escalation
 from app.runtime.grant import GrantRequest
 from app.runtime.invocation import Principal, ProposalRequest
 
 from .conftest import AGENT, CELL, ENGINEER, OPERATOR, OPERATOR_2, HandCell, House, grasp, until
 from .test_desk import holding
 from .test_takeover import stating
-from .test_versions import ORGANIZATION, SHARED, SLOWER, edited, put_in_force
+from .test_versions import ENGINEER_2, ORGANIZATION, SHARED, SLOWER, edited, put_in_force
 
 pytestmark = pytest.mark.anyio
 
@@ -248,6 +249,40 @@ async def test_of_two_equal_answers_after_a_lapse_none_counts_for_what_was_not_a
     assert {"control_lapsed", "look", "approval_required"} <= {why["code"] for why in asked.reasons}
     await runtime.desk.resolve(asked.id, OPERATOR, "approve", asked.digest)
     await cell.expect("launch", launched + 1)
+
+
+async def test_what_a_session_asks_more_of_is_another_question_also_under_the_policy_that_it_was_asked_under(
+    runtime: Runtime, cell: HandCell
+) -> None:
+    """Who answers what was asked at first has not seen what was added, whichever policy was in force in between."""
+    session = await approved(runtime, cell, OPERATOR, LOOK)
+    look = runtime.kernel.policy.digest
+    await taken(runtime, cell, session)
+    await cell.report("status", session, status="escalated", reason="control_lapsed")
+    await cell.report("escalation", session, reason="control_lapsed", failure="taken_over")
+    await until(lambda: (asked := runtime.desk.pending_for(session)) is not None and "look" in codes(asked))
+    first = runtime.desk.pending_for(session)
+    assert first is not None
+    assert "approval_required" not in codes(first)
+    with pytest.raises(Conflict):
+        await runtime.desk.resolve(first.id, OPERATOR, "approve", first.digest)
+    await put_in_force(runtime, SLOWER)
+    for engineer in (ENGINEER, ENGINEER_2):
+        await runtime.versions.activate(look, engineer, "no need")
+    await until(lambda: (asked := runtime.desk.pending_for(session)) is not None and asked.policy_version == look)
+    again = runtime.desk.pending_for(session)
+    assert again is not None
+    assert {"look", "approval_required"} <= codes(again)
+    launched = len(cell.all("launch"))
+    with pytest.raises(Conflict, match="has changed"):
+        await runtime.desk.resolve(first.id, OPERATOR, "approve", first.digest)
+    assert len(cell.all("launch")) == launched
+    await runtime.desk.resolve(again.id, OPERATOR, "approve", again.digest)
+    await cell.expect("launch", launched + 1)
+
+
+def codes(asked: Escalation) -> set[str]:
+    return {why["code"] for why in asked.reasons}
 
 
 def permit(cell: HandCell) -> dict[str, Any]:
