@@ -101,8 +101,8 @@ class Answer:
         """Count this approval, of the question as shown or as edited, and launch with the last one needed."""
         present = self._escalation
         judgement = self._judge(present.effective)
-        if (need := judgement.need) is not None and judgement.conforms(present.effective) and self._outlived(need):
-            await self._ask_anew(need, self._asked_for(judgement))
+        if judgement.conforms(present.effective) and self._outlived(judgement.need):
+            await self._ask_anew(judgement)
         full = {**present.effective, **(params or {})}
         if full != present.effective:
             return await self._approve_edit(full)
@@ -139,10 +139,11 @@ class Answer:
     def _bound(self, effective: Mapping[str, Any], why: Sequence[Mapping[str, str]]) -> str:
         return self._questions.bound(self._invocation, effective, why)
 
-    def _outlived(self, need: ApprovalNeed) -> bool:
+    def _outlived(self, need: ApprovalNeed | None) -> bool:
         """Say whether a question does not say what people would be asked by now, or was about another object."""
         present = self._escalation
-        return _unsaid(need, present) or present.digest != self._bound(present.effective, present.reasons)
+        unsaid = need is not None and _unsaid(need, present)
+        return unsaid or present.digest != self._bound(present.effective, present.reasons)
 
     def _asked_for(self, judgement: Judgement) -> dict[str, Any]:
         """Return how many people authority wants now, and why; never fewer than it wanted when it asked first."""
@@ -217,20 +218,24 @@ class Answer:
         self._questions.grants.hold(*given)
         return closed
 
-    async def _ask_anew(self, need: ApprovalNeed, asking: Mapping[str, Any]) -> NoReturn:
+    async def _ask_anew(self, judgement: Judgement) -> NoReturn:
         """Ask about what policy wants a human to look at by now, and nobody was shown; nothing said is a word on that.
+
+        Another object is asked about for the same reasons and until the same deadline, where policy names no others: a
+        grant given meanwhile may answer for it, and nobody's approval.
 
         Raises:
             Conflict: `digest_mismatch`, always.
             RecordUnavailable: nothing is asked anew; the next answer meets the same.
         """
-        now, present = self._register.now(), self._escalation
+        now, present, need = self._register.now(), self._escalation, judgement.need
+        asking = {"reasons": present.reasons, **self._asked_for(judgement)}
         asked = present.evolve(
             now,
             digest=self._bound(present.effective, asking["reasons"]),
             approvals=(),
             acknowledged=(),
-            expires_at=rfc3339(self._register.now_s() + need.within_s),
+            expires_at=present.expires_at if need is None else rfc3339(self._register.now_s() + need.within_s),
             **asking,
         )
         shown = self._invocation.evolve(now, escalation=asked.reference())

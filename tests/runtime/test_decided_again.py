@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import base64
 import json
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -196,6 +197,27 @@ async def test_what_one_hand_back_was_told_of_is_told_again_at_the_next(runtime:
     assert await asked_first(runtime, cell, session, "look", "approval_required", after=told) > told
 
 
+async def test_an_approval_of_what_was_carried_is_none_of_what_a_grant_answers_for_since(
+    runtime: Runtime, cell: HandCell
+) -> None:
+    await holding(cell, "mug_1")
+    carry = ProposalRequest(capability="transport_object", params={"target": "dock"})
+    made, _ = await runtime.governor.propose(AGENT, carry)
+    question = runtime.desk.pending_for(made["id"])
+    assert question is not None
+    await holding(cell, "driver_1")
+    await runtime.desk.grants.give(OPERATOR_2, replace(MUGS, capability="transport_object"))
+    with pytest.raises(Conflict) as refused:
+        await runtime.desk.resolve(question.id, OPERATOR, "approve", question.digest)
+    assert (refused.value.code, cell.all("launch")) == ("digest_mismatch", [])
+    asked = runtime.desk.pending_for(question.invocation)
+    assert asked is not None
+    assert (asked.reasons, asked.expires_at) == (question.reasons, question.expires_at)
+    await runtime.desk.resolve(asked.id, OPERATOR, "approve", asked.digest)
+    await cell.expect("launch")
+    assert permit(cell)["approvals"] == [OPERATOR.name]
+
+
 async def carrying(runtime: Runtime, cell: HandCell, thing: str, files: dict[str, str] | None = None) -> str:
     """Return a carry that one person approved and another took over, of what is held; policy is of `files` by then."""
     await holding(cell, thing)
@@ -255,7 +277,8 @@ async def test_what_a_session_asks_more_of_is_another_question_also_under_the_po
     runtime: Runtime, cell: HandCell
 ) -> None:
     """Who answers what was asked at first has not seen what was added, whichever policy was in force in between."""
-    session = await approved(runtime, cell, OPERATOR, LOOK)
+    session = await approved(runtime, cell, OPERATOR)
+    await put_in_force(runtime, LOOK)
     look = runtime.kernel.policy.digest
     await taken(runtime, cell, session)
     await cell.report("status", session, status="escalated", reason="control_lapsed")
