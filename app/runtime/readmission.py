@@ -85,8 +85,9 @@ async def tell_first(
         *_, seq = await desk.register.append(judgement.recheck_events(present))
         told = cell.told_of = Told(lease=lease, approvers=need.approvers, digest=bound, seq=seq)
     if after is None or after < told.seq:
-        again = f"whoever hands back again approves that; valid: `after` at least `{told.seq}`"
-        raise _refused(f"policy has people asked about this from here: {again}", need.reasons)
+        again = f"hand back again, with `after` at least `{told.seq}`"
+        reasons = [why._replace(remedy=again) for why in need.reasons]  # nobody else is asked, whatever policy advises
+        raise _refused("policy has people asked about this from here: whoever hands back again approves that", reasons)
 
 
 def _refused(message: str, reasons: Sequence[Reason]) -> Conflict:

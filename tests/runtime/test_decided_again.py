@@ -144,6 +144,9 @@ async def asked_first(runtime: Runtime, cell: HandCell, invocation: str, *codes:
     assert [why["code"] for why in refused.value.reasons] == list(codes)
     assert permit(cell)["capability"] == "takeover"
     newest = (await runtime.governor.trace(invocation, ENGINEER))[-1]
+    assert {why["remedy"] for why in refused.value.reasons} == {
+        f"hand back again, with `after` at least `{newest['seq']}`"
+    }
     assert (newest["kind"], newest["body"]["outcome"]) == ("policy", "escalate" if "look" in codes else "allow")
     return newest["seq"]
 
