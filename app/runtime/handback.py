@@ -137,9 +137,10 @@ class Handbacks:
             self.desk.ask_again(principal)
             found = await readmitted(self.desk, cell, present, principal)
             document, judgement = cell.control_document() or {}, found.judgement
-            await tell_first(self.desk, cell, present, found, str(document.get("lease")), after)
+            told = await tell_first(self.desk, cell, present, found, str(document.get("lease")), after)
+            approves: dict[str, Any] = {} if told is None else {"approves": told}  # what that event says
             async with self.kernel.launch(present, judgement, found.approvals, anew=decided) as launch:
-                word = self._word("release", present, principal, document, then="resume")
+                word = self._word("release", present, principal, document, then="resume", **approves)
                 terms = replace(launch.invocation.terms, undone_by=None)  # it goes on: its end is the agent's as well
                 digest = judgement.policy.digest  # it may be another one that is in force by now
                 version = self._given_back(cell, present, "resume", terms=terms, policy_version=digest)

@@ -30,6 +30,7 @@ class Readmission:
     policy has people asked from here, and too few of those who approved the launch were shown. They have to be, first.
     """
 
+    by: str  # who lets it go on
     judgement: Judgement
     approvals: tuple[str, ...]
     unasked: ApprovalNeed | None
@@ -60,13 +61,13 @@ async def readmitted(desk: Questions, cell: Cell, present: Invocation, principal
         unasked = None if len(people) >= unasked.approvers else unasked
     if principal.name not in (*approvals, present.agent):
         approvals = (*approvals, principal.name)
-    return Readmission(judgement=judgement, approvals=approvals, unasked=unasked)
+    return Readmission(by=principal.name, judgement=judgement, approvals=approvals, unasked=unasked)
 
 
 async def tell_first(
     desk: Questions, cell: Cell, present: Invocation, found: Readmission, lease: str, after: int | None
-) -> None:
-    """Let a hand-back count as an approval only if it was said after a refusal that told what of.
+) -> int | None:
+    """Let a hand-back count as an approval only if it was said after a refusal that told what of; return which one.
 
     The refusal is recorded, so `after` says whether it was seen. It counts for one lease, and for what an approval of a
     launch is bound to.
@@ -76,18 +77,19 @@ async def tell_first(
         RecordUnavailable: nobody was told.
     """
     if (need := found.unasked) is None:
-        return
+        return None
     judgement = found.judgement
     now = replace(present, policy_version=judgement.policy.digest, profile=judgement.profile)
     bound = desk.bound(now, present.effective or {}, reasons_document(need.reasons))
     told = cell.told_of
     if told is None or (told.lease, told.approvers, told.digest) != (lease, need.approvers, bound):
-        *_, seq = await desk.register.append(judgement.recheck_events(present))
+        *_, seq = await desk.register.append(judgement.refused_back(present, found.by))
         told = cell.told_of = Told(lease=lease, approvers=need.approvers, digest=bound, seq=seq)
     if after is None or after < told.seq:
         again = f"hand back again, with `after` at least `{told.seq}`"
         reasons = [why._replace(remedy=again) for why in need.reasons]  # nobody else is asked, whatever policy advises
         raise _refused("policy has people asked about this from here: whoever hands back again approves that", reasons)
+    return told.seq
 
 
 def _refused(message: str, reasons: Sequence[Reason]) -> Conflict:

@@ -148,6 +148,8 @@ async def asked_first(runtime: Runtime, cell: HandCell, invocation: str, *codes:
         f"hand back again, with `after` at least `{newest['seq']}`"
     }
     assert (newest["kind"], newest["body"]["outcome"]) == ("policy", "escalate" if "look" in codes else "allow")
+    said = newest["body"]["hand_back"]
+    assert (said["by"], [why["code"] for why in said["refused"]["reasons"]]) == (OPERATOR.name, list(codes))
     return newest["seq"]
 
 
@@ -188,6 +190,8 @@ async def test_what_policy_has_come_to_ask_is_approved_by_whom_a_refused_hand_ba
         assert await asked_first(runtime, cell, session, "look", "approval_required", after=unseen) == told
     await handed_back(runtime, cell, session, after=told)
     assert permit(cell)["approvals"] == [OPERATOR.name]
+    trace = await runtime.governor.trace(session, ENGINEER)
+    assert [event["body"].get("approves") for event in trace if event["body"].get("op") == "release"] == [told]
 
 
 async def test_what_one_hand_back_was_told_of_is_told_again_at_the_next(runtime: Runtime, cell: HandCell) -> None:

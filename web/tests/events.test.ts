@@ -125,6 +125,12 @@ describe('a verdict of policy', () => {
     expect(said(event('policy', { outcome: 'allow', changes: [] }))).toBe('Allowed as proposed');
   });
 
+  it('says of a hand-back that was refused whose it was, and what people are asked about', () => {
+    const refused = { reasons: [{ message: 'Somebody looks.' }, { message: 'medium risk needs approval in `human-shared`' }] };
+    const told = event('policy', { outcome: 'allow', recheck: true, changes: [], hand_back: { by: 'ann', refused } });
+    expect(said(told)).toBe('ann cannot hand back yet: Somebody looks; medium risk needs approval in human-shared');
+  });
+
   it('says of a proposal that was turned away what policy would say, and not that it is allowed', () => {
     const verdict = (outcome: string, changes: object[] = []): LogEvent => event('policy', { outcome, changes: changes as never });
     const away = { ...FORCE, turnedAway: () => true };

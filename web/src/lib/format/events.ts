@@ -110,10 +110,17 @@ function policy(body: Body, event: LogEvent, known: Known): Line {
   if (outcome === 'deny') return line('refused', 'danger', firstMessage(body), 'Denied by policy. ');
   const cut = changes(body, known.inputs(event.invocation));
   if (known.turnedAway(event)) return line('scale', 'quiet', `Policy ${entryOf(WOULD, outcome) ?? 'would ask a person'}${cut === '' ? '' : `: ${cut}`}`);
+  const back = obj(body['hand_back']);
+  if ('refused' in back) return line('refused', 'warn', ` cannot hand back yet: ${asked(obj(back['refused']))}`, str(back['by']));
   const granted = str(body['grant']);
   const again = body['recheck'] === true ? 'Checked again: ' : '';
   if (granted !== '') return line('scale', 'plain', [again + allowedBy(known.grant(granted)), cut].filter((part) => part !== '').join('; '));
   return passed(outcome, again, cut);
+}
+
+/** What people are asked about, by the reasons of it. */
+function asked(what: Body): string {
+  return list(what['reasons']).map((why) => str(obj(why)['message']).replaceAll('`', '').replace(/\.$/, '')).join('; ');
 }
 
 function passed(outcome: string, again: string, cut: string): Line {
