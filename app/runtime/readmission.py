@@ -102,9 +102,7 @@ def _counts(desk: Questions, name: str) -> bool:
     return desk.grants.may_give(name)
 
 
-async def _approvals(
-    desk: Questions, present: Invocation
-) -> tuple[tuple[str, ...], frozenset[tuple[str, str, str]]]:
+async def _approvals(desk: Questions, present: Invocation) -> tuple[tuple[str, ...], frozenset[tuple[str, str, str]]]:
     """Return who approved the session when it was launched, and by which rules, codes and words they were asked.
 
     By none of them where the gripper held something else then, and that is what is handled.
@@ -114,9 +112,7 @@ async def _approvals(
     if not launched:
         return (), frozenset()
     permit = cast("dict[str, list[str]]", launched[0].payload()["authorization"])
-    answers = await events(
-        invocation=present.id, kind=EventKind.APPROVAL, before=launched[0].seq, newest=True, limit=1
-    )
+    answers = await events(invocation=present.id, kind=EventKind.APPROVAL, before=launched[0].seq, newest=True, limit=1)
     asked = cast("list[dict[str, Any]]", [answer.payload()["escalation"] for answer in answers])
     reasons = [why for question in asked if _same(desk, present, question) for why in question["reasons"]]
     return tuple(permit["approvals"]), frozenset((why["rule"], why["code"], why["message"]) for why in reasons)
