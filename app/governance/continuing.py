@@ -9,9 +9,10 @@ say is no news, and what the new one leaves freer touches only what starts later
 | does not admit it (capability, profile, permission, mode, names) | departs |
 | denies it, or holds its parameters tighter | departs |
 | watches it more strictly, recovers it less or otherwise, or has a further phase confirmed | departs |
+| has people asked about what recovers it, denies that, or holds or watches it tighter | departs |
 | wants a human's word that the old one did not want | departs, and one person's word lets it go on |
 
-A session cannot be bound to other parameters while it runs: what departs in one of the first three ways may only end.
+A session cannot be bound to other parameters while it runs: what departs in one of the first four ways may only end.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from typing import TYPE_CHECKING, Final
 
 from app.governance.admission import admit
 from app.governance.authority import need
+from app.governance.coverage import acting_for, recoveries
 from app.governance.guard import check
 from app.governance.model import Admission, AdmissionOutcome, PolicyOutcome, Reason, Strategy
 from app.governance.plans import confirm_before, recovery_plan, watch_plan
@@ -72,7 +74,9 @@ def departure(old: PolicySet | None, new: PolicySet, proposal: Proposal, context
         *_rejected(admission, before),
         *_held(verdict, said, proposal),
         *_watched(old, new, proposal, context),
+        *_recovered(old, new, proposal, then, context),
     )
+    refused = tuple(dict.fromkeys(refused))  # a watch rule may be of the session and of what recovers it
     if refused:
         return Departure(reasons=refused)
     wanted = _wanted(new, proposal, admission, verdict, context)
@@ -123,6 +127,35 @@ def _asks(wanted: ApprovalNeed | None, asked: ApprovalNeed | None) -> Departure:
     return Departure(reasons=fresh or wanted.reasons, askable=wanted.approvers == 1)
 
 
+def _recovered(
+    old: PolicySet, new: PolicySet, proposal: Proposal, then: Context, context: Context
+) -> tuple[Reason, ...]:
+    """Return why the new policy would not have the session recovered by what its authorization covers.
+
+    What is not to be had just now counts as well: a grasp that holds nothing yet has nothing to release.
+    """
+    if (proposal.capability, context.profile) not in old.gates:
+        return ()
+    by_old, by_new = (replace(known, agent=acting_for(known.agent)) for known in (then, context))
+    found = list[Reason]()
+    for asked in recoveries(old, proposal, then):
+        before, said = admit(old, asked, by_old), check(old, asked, by_old)
+        if not _unasked(before, said):
+            continue
+        runs = replace(asked, params=said.effective)
+        admission, verdict = admit(new, runs, by_new), check(new, runs, by_new)
+        news = (*_rejected(admission, before), *_held(verdict, said, runs))
+        found += news if news or _unasked(admission, verdict) else (*admission.reasons, *verdict.reasons)
+        found += _watched_tighter(old, new, runs, context)
+    return tuple(found)
+
+
+def _unasked(admission: Admission, verdict: Verdict) -> bool:
+    """Say whether nobody has to be asked about a recovery, so that an authorization may cover it."""
+    barred = admission.outcome in (AdmissionOutcome.REJECT, AdmissionOutcome.ESCALATE)
+    return not barred and verdict.outcome in (PolicyOutcome.ALLOW, PolicyOutcome.MODIFY)
+
+
 # Watching ------------------------------------------------------------------------------------------------------------
 
 
@@ -133,13 +166,20 @@ def _watched(old: PolicySet, new: PolicySet, proposal: Proposal, context: Contex
         return (GONE,)
     if pair not in new.gates:
         return ()  # which admission says
-    plans = [watch_plan(policy, *pair, proposal.params, proposal.mode) for policy in (old, new)]
-    found = [_news("watched_tighter", f"{what} tighter now") for what in _stricter(*plans)]
+    found = _watched_tighter(old, new, proposal, context)
     before, after = (recovery_plan(policy, *pair) for policy in (old, new))
     found += [_news("recovery_tighter", f"{what} is bound tighter now") for what in _recovers_less(before, after)]
     further = [phase for phase in confirm_before(new, *pair) if phase not in confirm_before(old, *pair)]
     found += [_news("confirmation_added", f"a human confirms `{phase}` now") for phase in further]
     return tuple(found)
+
+
+def _watched_tighter(old: PolicySet, new: PolicySet, proposal: Proposal, context: Context) -> list[Reason]:
+    pair = (proposal.capability, context.profile)
+    if pair not in new.gates:
+        return []  # which admission says
+    plans = [watch_plan(policy, *pair, proposal.params, proposal.mode) for policy in (old, new)]
+    return [_news("watched_tighter", f"{what} tighter now") for what in _stricter(*plans)]
 
 
 def _news(code: str, message: str) -> Reason:

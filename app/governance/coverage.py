@@ -17,7 +17,7 @@ from app.governance.recovery import RETRACE
 from app.governance.vocabulary import properties
 
 if TYPE_CHECKING:
-    from app.governance.model import Context, Json, Proposal, RecoveryPlan
+    from app.governance.model import Context, Json, Params, Proposal, RecoveryPlan
     from app.governance.policy import PolicySet
 
 
@@ -59,6 +59,32 @@ def _wanted(policy: PolicySet, plan: RecoveryPlan, proposal: Proposal) -> list[t
     return list(wanted)
 
 
+def recoveries(policy: PolicySet, proposal: Proposal, context: Context) -> tuple[Proposal, ...]:
+    """Return what else than itself policy may ask for in a session, each as governance proposes it (`acting_for`).
+
+    Args and errors as of `covered_recoveries`.
+    """
+    plan = recovery_plan(policy, proposal.capability, context.profile)
+    named = {name: mode for _, name, mode in _wanted(policy, plan, proposal) if name != proposal.capability}
+    found = ((name, mode, _params(policy, name, proposal, context)) for name, mode in named.items())
+    return tuple(
+        replace(proposal, capability=name, params=params, mode=mode, preconditions=())
+        for name, mode, params in found
+        if params is not None
+    )
+
+
+def acting_for(agent: AgentFacts) -> AgentFacts:
+    """Return governance as it acts for an agent: it may start recoveries, and may else no more than that agent."""
+    return AgentFacts(name=GOVERNANCE, permissions=agent.permissions | {GOVERNANCE})
+
+
+def _params(policy: PolicySet, capability: str, proposal: Proposal, context: Context) -> Params | None:
+    """Return what a recovery is proposed with; None where it cannot run on its defaults."""
+    params = policy.validate_params(capability, _named(policy, capability, proposal, context))
+    return None if isinstance(params, tuple) else params
+
+
 def _named(policy: PolicySet, capability: str, proposal: Proposal, context: Context) -> dict[str, Json]:
     """Return what a recovery has to be told: the object that this session handles, where it handles one."""
     if "object_id" not in properties(policy.capabilities[capability]):
@@ -68,22 +94,15 @@ def _named(policy: PolicySet, capability: str, proposal: Proposal, context: Cont
     return {} if name is None else {"object_id": name}
 
 
-def _acting_for(agent: AgentFacts) -> AgentFacts:
-    """Return governance as it acts for an agent: it may start recoveries, and may else no more than that agent."""
-    return AgentFacts(name=GOVERNANCE, permissions=agent.permissions | {GOVERNANCE})
-
-
 def _cover(
     policy: PolicySet, proposal: Proposal, context: Context, strategy: Strategy, capability: str, mode: Mode
 ) -> CoveredRecovery | None:
     again = capability == proposal.capability
-    params = (
-        proposal.params if again else policy.validate_params(capability, _named(policy, capability, proposal, context))
-    )
-    if isinstance(params, tuple):  # it cannot run on its defaults, so it cannot be had without being asked
+    params = proposal.params if again else _params(policy, capability, proposal, context)
+    if params is None:  # so it cannot be had without being asked
         return None
     asked = replace(proposal, capability=capability, params=params, mode=mode, preconditions=())
-    decision = decide(policy, asked, context if again else replace(context, agent=_acting_for(context.agent)))
+    decision = decide(policy, asked, context if again else replace(context, agent=acting_for(context.agent)))
     # A new attempt at what a human approved needs no second approval; any other recovery must need none at all.
     verdict, admission = decision.verdict, decision.admission.outcome
     if verdict is None or verdict.outcome is PolicyOutcome.DENY:

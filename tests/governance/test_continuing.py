@@ -278,6 +278,27 @@ def test_departs_when_what_is_tried_carefully_is_not_admitted_any_more() -> None
     assert codes(found).count("recovery_tighter") == len(found.reasons) > 1
 
 
+@pytest.mark.parametrize("then", ["deny", "escalate", "modify, set: {speed_mps: {max: 0.05}}"])
+def test_departs_when_what_recovers_it_is_refused_asked_about_or_bound_tighter(then: str) -> None:
+    rule = f"id: gently, applies_to: [release_and_retract], then: {then}, because: It fell."
+    found = between(shipped(), with_rule(rule))
+    assert [reason.rule for reason in found.reasons] == ["organization/gently"]
+    assert not found.askable
+    assert between(with_rule(rule), shipped()) is CONFORMS, "it is freer by now, or was covered by nothing"
+
+
+def test_departs_when_what_recovers_it_is_not_enabled_here_any_more() -> None:
+    gates = {pair: gate for pair, gate in shipped().gates.items() if pair != ("release_and_retract", HERE)}
+    assert codes(between(shipped(), replace(shipped(), gates=gates))) == ["not_in_profile", "not_covered"]
+
+
+def test_departs_when_what_recovers_it_would_be_watched_more_strictly() -> None:
+    rows = shipped().profiles[HERE].watch
+    slower = replace(rows[0], id="gently", applies_to=frozenset({"release_and_retract"}))
+    found = between(shipped(), with_profile(watch=(*rows, slower)))
+    assert [reason.message for reason in found.reasons] == ["the watch rule `gently` is tighter now"]
+
+
 def test_departs_when_a_further_phase_has_to_be_confirmed() -> None:
     def confirming(*phases: str) -> PolicySet:
         entry = Confirmation(capability="grasp_object", profile=HERE, phases=phases)
