@@ -22,7 +22,7 @@ from app.runtime.errors import Conflict, NotFound
 from app.runtime.hands import HELD, RETURNING, given_back
 from app.runtime.invocation import Invocation, may_see
 from app.runtime.overtaken import check_newest
-from app.runtime.readmission import readmitted, tell_first
+from app.runtime.readmission import RULE, readmitted, tell_first
 from app.runtime.uncut import uncut
 
 if TYPE_CHECKING:
@@ -37,7 +37,6 @@ if TYPE_CHECKING:
 
 FACTS_S: Final = FRESH_S  # by then the state that is there says nothing either
 RETURN_S: Final = 3.0  # for a robot to come to rest and its plan to be bound anew
-RULE: Final = "authority/takeover"
 
 
 class Handbacks:

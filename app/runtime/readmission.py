@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any, Final, cast
 
-from app.governance.model import EventKind
+from app.governance.model import EventKind, Reason
 from app.runtime.cells import Told
 from app.runtime.errors import Conflict
+from app.runtime.escalation import PROFILE_CHANGED
 from app.runtime.hands import LAPSED
 from app.runtime.invocation import reasons_document
 from app.runtime.kernel import GRANTED
@@ -15,11 +16,13 @@ from app.runtime.kernel import GRANTED
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from app.governance.model import ApprovalNeed, Reason
+    from app.governance.model import ApprovalNeed
     from app.runtime.cells import Cell
     from app.runtime.invocation import Invocation, Principal
     from app.runtime.kernel import Judgement
     from app.runtime.questions import Questions
+
+RULE: Final = "authority/takeover"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -39,7 +42,8 @@ class Readmission:
 async def readmitted(desk: Questions, cell: Cell, present: Invocation, principal: Principal) -> Readmission:
     """Decide again on what a session does, from where the robot is now.
 
-    Whoever approved its launch and may approve nothing any more is none of them, nor is a grant that has ended.
+    Whoever approved its launch and may approve nothing any more is none of them, nor is a grant that has ended. It is a
+    new authorization, and none is given under a profile that its cell has left.
 
     Raises:
         Conflict: `resume_refused`, with the reasons.
@@ -49,6 +53,8 @@ async def readmitted(desk: Questions, cell: Cell, present: Invocation, principal
     approvals = tuple(name for name in said if _counts(desk, name))
     effective = dict(present.effective or {})
     judgement = desk.kernel.judge(present.proposal(effective), present.agent, cell, within=present)
+    if cell.profile != present.profile:
+        raise _refused("the profile that it was launched under gave way", (_gave_way(cell, present),))
     if not judgement.conforms(effective):
         raise _refused("policy does not let it go on from here", judgement.reasons())
     unasked = judgement.need
@@ -94,6 +100,11 @@ async def tell_first(
 
 def _refused(message: str, reasons: Sequence[Reason]) -> Conflict:
     return Conflict("resume_refused", message, reasons=reasons_document(tuple(reasons)))
+
+
+def _gave_way(cell: Cell, present: Invocation) -> Reason:
+    message = f"`{cell.id}` is under {cell.profile} by now, and this was launched under {present.profile}"
+    return Reason(RULE, PROFILE_CHANGED, message, "roll it back or end it, and propose it again")
 
 
 def _counts(desk: Questions, name: str) -> bool:

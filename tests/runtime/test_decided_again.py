@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 
+from app.governance import control
 from app.governance.model import GrantScope
 from app.runtime.assembly import Runtime
 from app.runtime.errors import Conflict
@@ -31,6 +32,12 @@ LOOK = edited(
     "rules:\n",
     "rules:\n  - {id: look, applies_to: [grasp_object, transport_object], then: escalate, because: Somebody looks.}\n",
 )
+
+
+@pytest.fixture(autouse=True)
+def patient(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Have nobody lose the controls because the machine is busy: that is tested elsewhere."""
+    monkeypatch.setattr(control, "LAPSE_S", 60.0)
 
 
 async def test_a_profile_that_asks_nobody_launches_nothing_where_the_policy_changes_as_well(
@@ -317,3 +324,31 @@ def codes(asked: Escalation) -> set[str]:
 
 def permit(cell: HandCell) -> dict[str, Any]:
     return json.loads(base64.b64decode(cell.all("launch")[-1].body))
+
+
+@pytest.mark.parametrize("lapsed", [False, True])
+async def test_nothing_goes_on_anew_under_a_profile_that_its_cell_has_left(
+    runtime: Runtime, cell: HandCell, lapsed: bool
+) -> None:
+    """Going on takes a new authorization: somebody may have put the cell under a stricter profile for a reason."""
+    session = await approved(runtime, cell, OPERATOR)
+    await taken(runtime, cell, session)
+    await runtime.governor.set_profile(CELL, "real-restricted", ENGINEER)
+    going = runtime.governor.release(session, OPERATOR, "resume")
+    if lapsed:
+        going.close()
+        await cell.report("status", session, status="escalated", reason="control_lapsed")
+        await cell.report("escalation", session, reason="control_lapsed", failure="taken_over")
+        await until(lambda: runtime.desk.pending_for(session) is not None)
+        question = runtime.desk.pending_for(session)
+        assert question is not None
+        going = runtime.desk.resolve(question.id, OPERATOR, "approve", question.digest)
+    launched = len(cell.all("launch"))
+    async with stating(cell, status="running"):
+        with pytest.raises(Conflict) as refused:
+            await going
+    assert (refused.value.code, [why["code"] for why in refused.value.reasons]) == (
+        "resume_refused",
+        ["profile_changed"],
+    )
+    assert len(cell.all("launch")) == launched
