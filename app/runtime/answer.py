@@ -32,8 +32,9 @@ from app.runtime.drafts import (
 )
 from app.runtime.errors import Conflict, InvalidParams
 from app.runtime.escalation import APPROVED, DENIED, ROLLBACK, bound_digest
+from app.runtime.grant import GrantEnded
 from app.runtime.invocation import reasons_document
-from app.runtime.readmission import lapsed, readmitted
+from app.runtime.readmission import lapsed, not_sent, readmitted
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -298,16 +299,19 @@ class Answer:
         if found.unasked is not None and _unsaid(found.unasked, self._escalation):
             await self._ask_more(found.unasked)
         judgement = found.judgement
-        async with self._kernel.launch(present, judgement, found.approvals, anew=decided) as launch:
-            terms = replace(launch.invocation.terms, undone_by=None)  # it goes on: its end is the agent's as well
-            version = present.evolve(
-                closed.updated_at,
-                escalation=closed.reference(),
-                terms=terms,
-                policy_version=judgement.policy.digest,
-            )
-            drafts = [self._event("approve", closed), *judgement.recheck_events(present), *launch.events]
-            await self._questions.commit(drafts, closed, version, launch.rows)
+        drafts = [self._event("approve", closed), *judgement.recheck_events(present)]
+        try:
+            async with self._kernel.launch(present, judgement, found.approvals, anew=decided) as launch:
+                version = present.evolve(
+                    closed.updated_at,
+                    escalation=closed.reference(),
+                    terms=replace(launch.invocation.terms, undone_by=None),  # it goes on: its agent may end it as well
+                    policy_version=judgement.policy.digest,
+                )
+                with self._questions.grants.use(judgement.grant) as used:
+                    await self._questions.commit([*drafts, *launch.events], closed, version, [*launch.rows, *used])
+        except GrantEnded as error:  # it was answered all the same, and is asked about again
+            raise await not_sent(self._questions, present, "approve", "answer again, once it is asked about") from error
         return closed
 
     async def _ask_more(self, need: ApprovalNeed) -> NoReturn:

@@ -19,7 +19,7 @@ from app.runtime.cell_controls import CellControls
 from app.runtime.controls import Controls
 from app.runtime.drafts import escalation_event
 from app.runtime.errors import Conflict, InvalidParams
-from app.runtime.grants import GrantEnded
+from app.runtime.grant import GrantEnded
 from app.runtime.identity import digest
 from app.runtime.invocation import (
     Invocation,

@@ -27,6 +27,10 @@ ENDED: Final = "ended"
 ENDS: Final = ("revoked", "expired", "estop", "profile_changed", "policy_changed", "giver_withdrawn")
 
 
+class GrantEnded(Exception):
+    """A grant that a decision stood on has ended before the decision was recorded, or what was decided was sent."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GrantRequest:
     """What a person grants: to whom, for what, and for how long."""

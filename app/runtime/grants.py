@@ -19,7 +19,7 @@ from app.governance.authority import grantable
 from app.governance.model import EventKind, Grant, GrantScope, Reason
 from app.runtime.drafts import SERVER, grant_event
 from app.runtime.errors import Conflict, Forbidden, InvalidParams, NotFound
-from app.runtime.grant import ACTIVE, LEAST_MINUTES, Standing, read_standing
+from app.runtime.grant import ACTIVE, LEAST_MINUTES, GrantEnded, Standing, read_standing
 from app.runtime.uncut import uncut
 
 if TYPE_CHECKING:
@@ -40,10 +40,6 @@ PAGE: Final = 500
 MILLISECOND_S: Final = 0.001  # events are stamped to that
 RULE: Final = "authority/grants"
 MOST_GRANTS: Final = 64  # more of them nobody keeps in view
-
-
-class GrantEnded(Exception):
-    """A grant that a decision stood on has ended before the decision was recorded."""
 
 
 class Grants:

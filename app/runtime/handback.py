@@ -19,10 +19,11 @@ from app.protocol import Human
 from app.runtime.cells import FRESH_S
 from app.runtime.drafts import SERVER
 from app.runtime.errors import Conflict, NotFound
+from app.runtime.grant import GrantEnded
 from app.runtime.hands import HELD, RETURNING, given_back
 from app.runtime.invocation import Invocation, may_see
 from app.runtime.overtaken import check_newest
-from app.runtime.readmission import RULE, readmitted, tell_first
+from app.runtime.readmission import RULE, not_sent, readmitted, tell_first
 from app.runtime.uncut import uncut
 
 if TYPE_CHECKING:
@@ -138,13 +139,18 @@ class Handbacks:
             document, judgement = cell.control_document() or {}, found.judgement
             told = await tell_first(self.desk, cell, present, found, str(document.get("lease")), after)
             approves: dict[str, Any] = {} if told is None else {"approves": told}  # what that event says
-            async with self.kernel.launch(present, judgement, found.approvals, anew=decided) as launch:
-                word = self._word("release", present, principal, document, then="resume", **approves)
-                terms = replace(launch.invocation.terms, undone_by=None)  # it goes on: its end is the agent's as well
-                digest = judgement.policy.digest  # it may be another one that is in force by now
-                version = self._given_back(cell, present, "resume", terms=terms, policy_version=digest)
-                recheck = judgement.recheck_events(present)
-                await self.register.append([word, *recheck, *launch.events], launch.rows, [version])
+            word = self._word("release", present, principal, document, then="resume", **approves)
+            drafts = [word, *judgement.recheck_events(present)]
+            try:
+                async with self.kernel.launch(present, judgement, found.approvals, anew=decided) as launch:
+                    terms = replace(launch.invocation.terms, undone_by=None)  # it goes on: its agent may end it as well
+                    digest = judgement.policy.digest  # it may be another one that is in force by now
+                    version = self._given_back(cell, present, "resume", terms=terms, policy_version=digest)
+                    with self.desk.grants.use(judgement.grant) as used:
+                        await self.register.append([*drafts, *launch.events], [*launch.rows, *used], [version])
+            except GrantEnded as error:
+                remedy = "hand back again, roll it back, or end it"
+                raise await not_sent(self.desk, present, "resume", remedy) from error
 
     async def _roll_back(self, cell: Cell, invocation: str, principal: Principal, decided: Moment) -> None:
         entry = self.register.entry(invocation)

@@ -44,6 +44,7 @@ from app.protocol import Launch
 from app.runtime.cells import Moment
 from app.runtime.drafts import SERVER
 from app.runtime.errors import Conflict, InvalidParams
+from app.runtime.grant import GrantEnded
 from app.runtime.identity import Identities
 from app.runtime.invocation import reasons_document
 from app.runtime.link import key_text
@@ -377,6 +378,7 @@ class Kernel:
 
         Raises:
             Conflict: `cell_offline`, the cell of a session that is to change hands was away meanwhile.
+            GrantEnded: the grant by which such a session was to go on ended while that was recorded; nothing is sent.
             RecordUnavailable: the log was found to be damaged; nothing is sent.
         """
         cell = self._fleet.cell(invocation.cell or "")
@@ -388,13 +390,15 @@ class Kernel:
             self._fleet.claim(cell, invocation.id)
             authorization = self._authorization(invocation, judgement, approvals)
             signed = mint(authorization, self._key)
-            yield self._launching(invocation, authorization, signed.body.decode())
+            yield self._launching(invocation, judgement, authorization, signed.body.decode())
         except BaseException:
             if anew is None:
                 self._fleet.release(cell.id, invocation.id)
             raise
         if anew is None and self.overtaken(invocation, judgement):
             return  # another policy or profile came into force while this was recorded, and does not let it begin
+        if anew is not None and judgement.grant not in (None, *(grant.id for grant in self.standing(cell))):
+            raise GrantEnded(judgement.grant)
         message = Launch(
             body=base64.b64encode(signed.body).decode(),
             signature=base64.b64encode(signed.signature).decode(),
@@ -405,9 +409,11 @@ class Kernel:
         if anew is not None:
             self.rebound(invocation, judgement)
 
-    def _launching(self, invocation: Invocation, authorization: Authorization, body: str) -> Launching:
-        now = self._register.now()
-        by_grant = f"{GRANTED}{invocation.grant}" in authorization.approvals  # and not by whoever has it in hand since
+    def _launching(
+        self, invocation: Invocation, judgement: Judgement, authorization: Authorization, body: str
+    ) -> Launching:
+        now, grant = self._register.now(), judgement.grant or invocation.grant
+        by_grant = f"{GRANTED}{grant}" in authorization.approvals  # and not by whoever has it in hand since
         return Launching(
             invocation=replace(
                 invocation,
@@ -424,7 +430,7 @@ class Kernel:
                     body={
                         "authorization": orjson.loads(body),
                         "cell": invocation.cell,
-                        **({"grant": invocation.grant} if by_grant else {}),
+                        **({"grant": grant} if by_grant else {}),
                     },
                 ),
             ),

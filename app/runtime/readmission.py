@@ -5,8 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Final, cast
 
+from app.audit.event import EventDraft
 from app.governance.model import EventKind, Reason
 from app.runtime.cells import Told
+from app.runtime.drafts import SERVER
 from app.runtime.errors import Conflict
 from app.runtime.escalation import PROFILE_CHANGED
 from app.runtime.hands import LAPSED
@@ -23,6 +25,9 @@ if TYPE_CHECKING:
     from app.runtime.questions import Questions
 
 RULE: Final = "authority/takeover"
+ENDED: Final = Reason(
+    "authority/grants", "grant_ended", "the standing grant it was to go on by has ended meanwhile", ""
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -65,6 +70,7 @@ async def readmitted(desk: Questions, cell: Cell, present: Invocation, principal
         if len(people | {principal.name} - {present.agent}) < unasked.approvers:
             raise _refused("it takes more approvals from here", unasked.reasons)
         unasked = None if len(people) >= unasked.approvers else unasked
+    approvals = (*approvals, *(name for name in judgement.by_grant if name not in approvals))
     if principal.name not in (*approvals, present.agent):
         approvals = (*approvals, principal.name)
     return Readmission(by=principal.name, judgement=judgement, approvals=approvals, unasked=unasked)
@@ -96,6 +102,23 @@ async def tell_first(
         reasons = [why._replace(remedy=again) for why in need.reasons]  # nobody else is asked, whatever policy advises
         raise _refused("policy has people asked about this from here: whoever hands back again approves that", reasons)
     return told.seq
+
+
+async def not_sent(desk: Questions, before: Invocation, op: str, remedy: str) -> Conflict:
+    """Record that a session was not let go on after all, since the grant that answered for it has ended meanwhile.
+
+    It is in the hands, and under the terms, that it was in before. Returns the refusal of whoever let it go on.
+
+    Raises:
+        RecordUnavailable: that is not recorded; nothing was sent all the same.
+    """
+    recorded = desk.register.newest(before.id)
+    if recorded is not None and recorded is not before:  # else the grant ended before that, and there is no record
+        body = {"what": "not_sent", "op": op, "code": ENDED.code}
+        draft = EventDraft(kind=EventKind.CELL, actor=SERVER, invocation=before.id, body=body)
+        version = recorded.evolve(desk.register.now(), takeover=before.takeover, terms=before.terms)
+        await desk.register.append([draft], versions=[version])
+    return _refused(f"{ENDED.message}: it was not sent", [ENDED._replace(remedy=remedy)])
 
 
 def _refused(message: str, reasons: Sequence[Reason]) -> Conflict:

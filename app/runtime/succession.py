@@ -32,7 +32,7 @@ from app.protocol import Human
 from app.runtime.drafts import SERVER, escalation_event, outcome_event, reason
 from app.runtime.errors import InvalidParams, NotFound
 from app.runtime.escalation import APPROVAL, PROFILE_CHANGED, WITHDRAWN, bound_digest
-from app.runtime.grants import GrantEnded
+from app.runtime.grant import GrantEnded
 from app.runtime.hands import over
 from app.runtime.invocation import reasons_document
 from app.runtime.kernel import ANOTHER_PROFILE

@@ -20,6 +20,7 @@ from app.runtime.invocation import Principal, ProposalRequest
 
 from .conftest import AGENT, CELL, ENGINEER, OPERATOR, OPERATOR_2, HandCell, House, grasp, until
 from .test_desk import holding
+from .test_races import Gate
 from .test_takeover import stating
 from .test_versions import ENGINEER_2, ORGANIZATION, SHARED, SLOWER, edited, put_in_force
 
@@ -141,6 +142,90 @@ async def test_what_is_handed_back_names_the_grant_it_began_by_only_while_that_s
     trace = await runtime.governor.trace(made["id"], ENGINEER)
     named = [event["body"].get("grant") for event in trace if event["kind"] == "authorization"]
     assert named == [given["id"], None, None if revoked else given["id"]]  # nobody's grant is what is driven by hand
+
+
+async def granted(runtime: Runtime, cell: HandCell, approved_by: Principal | None = None) -> tuple[str, dict[str, Any]]:
+    """Return a session that somebody has taken over, and a grant that answers for its going on."""
+    session = None if approved_by is None else await approved(runtime, cell, approved_by)
+    given = await runtime.desk.grants.give(OPERATOR_2, MUGS)
+    if session is None:
+        made, _ = await runtime.governor.propose(AGENT, grasp())
+        session = made["id"]
+        await cell.expect("launch")
+        await cell.launched(session)
+    await taken(runtime, cell, session)
+    return session, given
+
+
+async def test_what_is_handed_back_by_a_grant_given_since_names_it_and_counts_as_its_use(
+    runtime: Runtime, cell: HandCell
+) -> None:
+    session, given = await granted(runtime, cell, OPERATOR)
+    await handed_back(runtime, cell, session)
+    assert permit(cell)["approvals"] == [OPERATOR.name, f"grant:{given['id']}"]
+    (shown,), _ = await runtime.desk.grants.list()
+    assert shown["uses"] == 1
+    trace = await runtime.governor.trace(session, ENGINEER)
+    named = [event["body"].get("grant") for event in trace if event["kind"] == "authorization"]
+    assert named == [None, None, given["id"]]
+
+
+async def test_a_hand_back_is_not_sent_when_its_grant_ends_while_it_is_recorded(
+    runtime: Runtime, cell: HandCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    session, given = await granted(runtime, cell)
+    launched, before = len(cell.all("launch")), runtime.register.newest(session)
+    gate = Gate(runtime, monkeypatch)
+    back = asyncio.ensure_future(runtime.governor.release(session, OPERATOR, "resume"))
+    async with stating(cell, status="running"):
+        await gate.reached.wait()
+    revoked = asyncio.create_task(runtime.desk.grants.revoke(given["id"], OPERATOR_2))
+    await until(lambda: not runtime.desk.grants.stands(given["id"]))
+    gate.open.set()
+    with pytest.raises(Conflict, match="it was not sent") as refused:
+        await back
+    await revoked
+    monkeypatch.undo()
+    assert (refused.value.code, [why["code"] for why in refused.value.reasons]) == ("resume_refused", ["grant_ended"])
+    assert len(cell.all("launch")) == launched
+    control, newest = runtime.fleet.cell(CELL).control, runtime.register.newest(session)
+    assert control is not None
+    assert (control.holder, control.phase) == (OPERATOR.name, "held")
+    assert before is not None
+    assert newest is not None
+    assert (newest.takeover, newest.terms) == (before.takeover, before.terms)
+    told = [event["body"] for event in await runtime.governor.trace(session, ENGINEER) if event["kind"] == "cell"]
+    assert told == [{"what": "not_sent", "op": "resume", "code": "grant_ended"}]
+    again = await asked_first(runtime, cell, session, "approval_required")
+    await handed_back(runtime, cell, session, after=again)
+    assert permit(cell)["approvals"] == [OPERATOR.name]
+
+
+async def test_an_answer_after_a_lapse_is_not_sent_when_its_grant_ends_while_it_is_recorded(
+    runtime: Runtime, cell: HandCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    session, given = await granted(runtime, cell)
+    await cell.report("status", session, status="escalated", reason="control_lapsed")
+    await cell.report("escalation", session, reason="control_lapsed", failure="taken_over")
+    await cell.state(status="escalated")
+    launched, question = len(cell.all("launch")), runtime.desk.pending_for(session)
+    assert question is not None
+    gate = Gate(runtime, monkeypatch)
+    answering = asyncio.ensure_future(runtime.desk.resolve(question.id, OPERATOR, "approve", question.digest))
+    await gate.reached.wait()
+    revoked = asyncio.create_task(runtime.desk.grants.revoke(given["id"], OPERATOR_2))
+    await until(lambda: not runtime.desk.grants.stands(given["id"]))
+    gate.open.set()
+    with pytest.raises(Conflict, match="it was not sent") as refused:
+        await answering
+    await revoked
+    monkeypatch.undo()
+    assert (refused.value.code, len(cell.all("launch"))) == ("resume_refused", launched)
+    async with stating(cell, status="escalated"):
+        await until(lambda: runtime.desk.pending_for(session) is not None)
+    asked = runtime.desk.pending_for(session)
+    assert asked is not None
+    assert codes(asked) == {"not_gone_on"}
 
 
 async def asked_first(runtime: Runtime, cell: HandCell, invocation: str, *codes: str, after: int | None = None) -> int:
