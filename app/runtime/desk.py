@@ -141,7 +141,7 @@ class Desk(Questions):
                 where what was asked under another one is decided again.
             Forbidden: `own_proposal`, nobody approves what they proposed; `role_forbidden`, nor once they may no more.
             InvalidParams: edited parameters that do not fit the schema, or edit a session under way; a code that policy
-                does not declare, or one with an approval; parameters with a denial.
+                does not declare, or one with an approval; parameters with a denial; a grant for another object or task.
             RecordUnavailable: nothing was recorded; a denial of a session has been sent to the cell all the same.
         """
         why = self._denial(decision, code)
@@ -210,7 +210,8 @@ class Desk(Questions):
         if len(self.approvals(present)) + 1 < present.needed:
             message = "a standing grant goes with the last approval, and this takes another person"
             raise refused_for(Reason(GRANTS, "another_person", message, "approve without one"))
-        return self.grants.build(principal, offer.request(self.kernel.policy, invocation), present)
+        shown = self.kernel.handled(invocation, present.effective)
+        return self.grants.build(principal, offer.request(invocation, shown), present)
 
     @uncut
     async def acknowledge(self, escalation_id: str, principal: Principal) -> dict[str, Any]:

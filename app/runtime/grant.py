@@ -12,13 +12,12 @@ import orjson
 
 from app.audit.event import RowWrite
 from app.clock import parse_rfc3339, rfc3339
-from app.governance.authority import handled
-from app.governance.model import AgentFacts, CellFacts, Context, Grant, GrantScope
+from app.governance.model import Grant, GrantScope
+from app.runtime.errors import InvalidParams
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from app.governance.policy import PolicySet
     from app.runtime.invocation import Invocation
 
 LEAST_MINUTES: Final = 0.01  # what is shorter is over before anybody could use it
@@ -54,13 +53,16 @@ class Offer:
     object: str | None = None
     task: str | None = None
 
-    def request(self, policy: PolicySet, invocation: Invocation) -> GrantRequest:
-        """Return the grant for more of an invocation: its own object or task, where none is named."""
+    def request(self, invocation: Invocation, handled: str | None) -> GrantRequest:
+        """Return the grant for more of an invocation: for the object it handles (`handled`), or for its task.
+
+        Raises:
+            InvalidParams: it names another object or task than was shown.
+        """
         named = {"object": self.object, "task": self.task}
-        if self.scope is GrantScope.OBJECT and self.object is None:
-            named["object"] = _handled(policy, invocation)
-        if self.scope is GrantScope.TASK and self.task is None:
-            named["task"] = invocation.task
+        for scope, shown in ((GrantScope.OBJECT, handled), (GrantScope.TASK, invocation.task)):
+            if self.scope is scope:
+                named[scope] = _same(scope, named[scope], shown)
         return GrantRequest(
             capability=invocation.capability,
             agent=invocation.agent,
@@ -72,11 +74,11 @@ class Offer:
         )
 
 
-def _handled(policy: PolicySet, invocation: Invocation) -> str | None:
-    nobody = AgentFacts(name=invocation.agent, permissions=frozenset())
-    somewhere = CellFacts(id=invocation.cell or "", online=False)
-    context = Context(time_s=0.0, profile=invocation.profile, agent=nobody, cell=somewhere)
-    return handled(policy, invocation.proposal(invocation.effective or {}), context)
+def _same(scope: GrantScope, named: str | None, shown: str | None) -> str | None:
+    if named not in (None, shown):
+        valid = "another scope" if shown is None else f"`{shown}`"
+        raise InvalidParams([{"path": f"grant.{scope}", "message": f"`{named}` is not what was shown; valid: {valid}"}])
+    return shown
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -336,9 +336,13 @@ class Kernel:
 
     def carried(self, invocation: Invocation, params: Mapping[str, Any]) -> str | None:
         """Return the object in the gripper where that is what an invocation handles: no parameter of it names one."""
-        context = self.context(invocation.capability, invocation.agent, invocation)
-        found = handled(self.policy, invocation.proposal(params), context)
+        found = self.handled(invocation, params)
         return None if found in params.values() else found
+
+    def handled(self, invocation: Invocation, params: Mapping[str, Any]) -> str | None:
+        """Return the object that an invocation handles: the one that a parameter names, else the one in the gripper."""
+        context = self.context(invocation.capability, invocation.agent, invocation)
+        return handled(self.policy, invocation.proposal(params), context)
 
     def context(self, capability: str, agent: str, within: Invocation, *, profile: str | None = None) -> Context:
         """Return Γ_t as it is now around an invocation that is there already, and is not in its own way."""

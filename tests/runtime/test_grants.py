@@ -23,7 +23,7 @@ from app.runtime.grants import MOST_GRANTS
 from app.runtime.invocation import Principal, ProposalRequest
 
 from .conftest import AGENT, AUDITOR, CELL, ENGINEER, OPERATOR, HandCell, House, grasp, until
-from .test_desk import answer, asked
+from .test_desk import answer, asked, holding
 
 pytestmark = pytest.mark.anyio
 
@@ -99,6 +99,37 @@ async def test_a_question_about_no_task_says_so_and_no_grant_is_for_it(
     assert (question["names_task"], question["task"]) == (False, None)
     with pytest.raises(InvalidParams, match="`task` goes with the scope `task`"):
         await answer(runtime, question, offer=Offer(scope=GrantScope.TASK, minutes=5.0))
+
+
+@pytest.mark.parametrize(
+    ("named", "said"),
+    [
+        ({"object": "glass_1"}, "`grant.object` `glass_1` is not what was shown; valid: `mug_1`"),
+        ({"task": "tidy down"}, "`grant.task` `tidy down` is not what was shown; valid: `tidy up`"),
+    ],
+)
+async def test_a_grant_that_goes_with_an_approval_is_for_nothing_else_than_was_shown(
+    runtime: Runtime, cell: HandCell, named: dict[str, str], said: str
+) -> None:
+    _, question = await asked(runtime, grasp(metadata={"task": "tidy up"}))
+    (scope,) = named
+    with pytest.raises(InvalidParams, match=said):
+        await answer(runtime, question, offer=Offer(scope=GrantScope(scope), minutes=5.0, **named))
+    assert (await runtime.desk.get(question["id"]))["status"] == "pending"
+    assert runtime.desk.grants.active() == []
+    shown = {"object": "mug_1", "task": "tidy up"}[scope]
+    await answer(runtime, question, offer=Offer(scope=GrantScope(scope), minutes=5.0, **{scope: shown}))
+    assert (await newest(runtime))[scope] == shown
+
+
+async def test_a_grant_with_an_approval_of_a_carry_is_for_what_is_held(runtime: Runtime, cell: HandCell) -> None:
+    await holding(cell, "mug_1")
+    carry = ProposalRequest(capability="transport_object", params={"target": "dock"})
+    _, question = await asked(runtime, carry)
+    with pytest.raises(InvalidParams, match="`driver_1` is not what was shown; valid: `mug_1`"):
+        await answer(runtime, question, offer=Offer(scope=GrantScope.OBJECT, minutes=5.0, object="driver_1"))
+    await answer(runtime, question, offer=Offer(scope=GrantScope.OBJECT, minutes=5.0, object="mug_1"))
+    assert (await newest(runtime))["object"] == "mug_1"
 
 
 @pytest.mark.parametrize("more", [{"decision": "deny"}, {"params": {"object_id": "mug_1", "force_n": 10}}])
