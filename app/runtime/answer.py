@@ -62,8 +62,12 @@ class Answer:
         principal: Principal,
         comment: str | None,
         grant: Standing | None = None,
+        first: int = 1,
     ) -> None:
-        """Take the question and its invocation as they stand, who answers, and what is granted with an approval."""
+        """Take the question and its invocation as they stand, who answers, and what is granted with an approval.
+
+        `first` is how many people the question wanted when it was asked first.
+        """
         self._questions = questions
         self._register = questions.register
         self._fleet = questions.fleet
@@ -73,6 +77,7 @@ class Answer:
         self._principal = principal
         self._comment = comment
         self._grant = grant
+        self._first = first
 
     # -- before launch -----------------------------------------------------------------------------------------------
 
@@ -150,9 +155,8 @@ class Answer:
         """Return how many people authority wants now, and why; never fewer than it wanted when it asked first."""
         need = judgement.need
         if need is None:
-            return {}
-        wanted = max(need.approvers, self._escalation.needed)
-        return {"needed": wanted, "reasons": reasons_document(need.reasons)}
+            return {"needed": self._first}
+        return {"needed": max(need.approvers, self._first), "reasons": reasons_document(need.reasons)}
 
     def _note_edit(self, judgement: Judgement) -> None:
         """Let the invocation's verdict lead from what was requested to what is approved, and say who changed what."""

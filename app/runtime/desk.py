@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Final
 from app.audit.documents import follow, is_founded, nothing_said
 from app.audit.errors import RecordUnavailable, RowUnreadable
 from app.governance.authority import denial
-from app.governance.model import Outcome, Reason, Status
+from app.governance.model import EventKind, Outcome, Reason, Status
 from app.runtime.answer import RULE, Answer
 from app.runtime.drafts import (
     SERVER,
@@ -40,7 +40,7 @@ from app.runtime.escalation import (
 from app.runtime.grants import RULE as GRANTS
 from app.runtime.grants import refused_for
 from app.runtime.questions import Questions
-from app.runtime.recollection import events_of, questions_of
+from app.runtime.recollection import events_of, needed_first, questions_of
 from app.runtime.reviews import Reviews
 from app.runtime.uncut import uncut
 
@@ -148,13 +148,14 @@ class Desk(Questions):
         if decision == "deny" and params is not None:
             raise InvalidParams([{"path": "params", "message": "go with an approval; valid: none with a denial"}])
         entry = await self._open(escalation_id)
+        first = await self._needed_first(escalation_id) if decision == "approve" else 1
         async with self.settled(entry) if decision == "approve" else entry.lock:
             present = await self._present(escalation_id, entry.newest)
             _check_answer(present, principal, digest, self.outdated(present))
             if decision == "approve":
                 self.ask_again(principal)
             grant = None if offer is None else self._grant(offer, present, entry.newest, principal, decision, params)
-            answer = Answer(self, entry.newest, present, principal, comment, grant)
+            answer = Answer(self, entry.newest, present, principal, comment, grant, first)
             match present.kind, decision:
                 case "session", "approve":
                     told = self.departed.get(present.invocation)
@@ -168,6 +169,18 @@ class Desk(Questions):
                 case _:
                     final = await answer.deny(why)
         return final.public()
+
+    async def _needed_first(self, escalation_id: str) -> int:
+        """Return how many people an open question wanted when it was asked first.
+
+        Nothing may be awaited later on, between a decision and what follows. Where it was asked under another policy or
+        profile meanwhile, the answer names a digest that is none any more.
+        """
+        known = self._pending.get(escalation_id)
+        if known is None or known.needed == 1:
+            return 1
+        said = await events_of(self.register.store, invocation=known.invocation, kind=EventKind.ESCALATION)
+        return needed_first(said, known)
 
     @contextlib.asynccontextmanager
     async def settled(self, entry: Entry) -> AsyncGenerator[None]:

@@ -73,6 +73,20 @@ def last_question(events: Sequence[Event]) -> dict[str, Any] | None:
     return next(reversed(documents(events, "escalation")), None)
 
 
+def needed_first(events: Sequence[Event], question: Escalation) -> int:
+    """Return how many people a question wanted when it was asked first, under the policy and profile it is of now."""
+    needed, under = question.needed, ("", "")
+    for event in events:
+        body: dict[str, Any] = event.payload()
+        asked: dict[str, Any] = body.get("escalation", {})
+        if event.kind != EventKind.ESCALATION or asked.get("id") != question.id:
+            continue
+        before, under = under, (asked.get("policy_version", ""), asked.get("profile", ""))
+        if before != under:
+            needed = int(asked["needed"])
+    return needed
+
+
 def _terms_of(stored: Terms, events: Sequence[Event]) -> Terms:
     """Return the terms with what was proposed as the log has it; the rest of them is the server's own."""
     proposed: dict[str, Any] | None = next((one.payload() for one in events if one.kind == EventKind.PROPOSAL), None)

@@ -452,6 +452,67 @@ async def test_an_edit_that_takes_more_people_says_why(runtime: Runtime, cell: H
     assert (await answer(runtime, edited, who=OPERATOR_2))["status"] == "approved"
 
 
+LEVER = {"tool": "lever", "action": "pull_down"}
+PRESS = {"tool": "press", "action": "press"}
+
+
+@pytest.mark.parametrize("restarted", [False, True])
+async def test_an_edit_that_takes_fewer_people_again_waits_for_no_more_than_were_asked_first(
+    house: House, restarted: bool
+) -> None:
+    async with house.open() as runtime:
+        cell = await at_tools(runtime)
+        _, question = await asked(runtime, ProposalRequest(capability="operate_tool", params=LEVER))
+        edited = await answer(runtime, question, params=PRESS)
+        assert (question["needed"], edited["needed"]) == (1, 2)
+        if not restarted:
+            await goes_by_one(runtime, cell, edited)
+    if restarted:
+        async with house.open() as runtime:
+            await goes_by_one(runtime, await at_tools(runtime), edited)
+
+
+async def at_tools(runtime: Runtime) -> HandCell:
+    cell = await HandCell(runtime, facts=dict(AT_TOOLS)).dial()
+    await cell.state()
+    return cell
+
+
+async def goes_by_one(runtime: Runtime, cell: HandCell, edited: dict[str, Any]) -> None:
+    once = await answer(runtime, edited)
+    assert (once["status"], len(once["approvals"])) == ("pending", 1)
+    back = await answer(runtime, once, who=OPERATOR_2, params=LEVER)
+    assert (back["status"], back["needed"]) == ("approved", 1)
+    assert [said["by"] for said in back["approvals"]] == [OPERATOR_2.name], "the other approved something else"
+    await cell.expect("launch")
+
+
+async def test_an_edit_that_takes_fewer_people_waits_for_as_many_as_were_asked_first(
+    runtime: Runtime, cell: HandCell
+) -> None:
+    cell.facts = dict(AT_TOOLS)
+    await cell.state()
+    _, question = await asked(runtime, press())
+    edited = await answer(runtime, question, params=LEVER)
+    assert (edited["status"], edited["needed"]) == ("pending", 2)
+    again = await answer(runtime, edited, params=LEVER | {"force_n": 5}, who=OPERATOR_2)
+    assert (again["status"], again["needed"], len(again["approvals"])) == ("pending", 2, 1)
+    assert not cell.all("launch")
+
+
+async def test_what_another_profile_has_asked_anew_is_asked_first_by_that(runtime: Runtime, cell: HandCell) -> None:
+    cell.facts = dict(AT_TOOLS)
+    await cell.state()
+    await runtime.governor.set_profile(CELL, "real-restricted", OPERATOR)
+    slow = {**PRESS, "force_n": 20, "speed_mps": 0.1}
+    request = ProposalRequest(capability="operate_tool", params=slow, metadata={"confidence": 0.2})
+    _, question = await asked(runtime, request)
+    await runtime.governor.set_profile(CELL, "human-shared", OPERATOR)
+    now = await runtime.desk.get(question["id"])
+    edited = await answer(runtime, now, params=LEVER)
+    assert (question["needed"], now["needed"], edited["status"], edited["needed"]) == (1, 2, "pending", 2)
+
+
 async def test_a_world_that_takes_more_people_says_why(runtime: Runtime, cell: HandCell) -> None:
     cell.facts = dict(AT_TOOLS)
     await cell.state()
