@@ -68,7 +68,9 @@ async def readmitted(desk: Questions, cell: Cell, present: Invocation, principal
         asked = approvals if {(why.rule, why.code, why.message) for why in unasked.reasons} <= shown else ()
         approvals, people = asked, {name for name in asked if not name.startswith(GRANTED)} - {present.agent}
         if len(people | {principal.name} - {present.agent}) < unasked.approvers:
-            raise _refused("it takes more approvals from here", unasked.reasons)
+            # Nobody else is asked, whatever policy advises.
+            left = "roll it back, or end it" if cell.driven(present.id) else "deny it"
+            raise _refused("it takes more approvals from here", [why._replace(remedy=left) for why in unasked.reasons])
         unasked = None if len(people) >= unasked.approvers else unasked
     approvals = (*approvals, *(name for name in judgement.by_grant if name not in approvals))
     if principal.name not in (*approvals, present.agent):

@@ -18,8 +18,8 @@ from app.runtime.escalation import Escalation
 from app.runtime.grant import GrantRequest
 from app.runtime.invocation import Principal, ProposalRequest
 
-from .conftest import AGENT, CELL, ENGINEER, OPERATOR, OPERATOR_2, HandCell, House, grasp, until
-from .test_desk import holding
+from .conftest import AGENT, AT_TOOLS, CELL, ENGINEER, OPERATOR, OPERATOR_2, HandCell, House, grasp, press, until
+from .test_desk import answer, asked, holding
 from .test_races import Gate
 from .test_takeover import stating
 from .test_versions import ENGINEER_2, ORGANIZATION, SHARED, SLOWER, edited, put_in_force
@@ -108,6 +108,7 @@ async def test_a_grant_is_nobody_of_those_whom_a_hand_back_takes(runtime: Runtim
         with pytest.raises(Conflict, match="more approvals") as refused:
             await runtime.governor.release(made["id"], OPERATOR, "resume")
     assert refused.value.code == "resume_refused"
+    assert {why["remedy"] for why in refused.value.reasons} == {"roll it back, or end it"}
     assert permit(cell)["capability"] == "takeover"
 
 
@@ -401,6 +402,29 @@ async def test_what_a_session_asks_more_of_is_another_question_also_under_the_po
     assert len(cell.all("launch")) == launched
     await runtime.desk.resolve(again.id, OPERATOR, "approve", again.digest)
     await cell.expect("launch", launched + 1)
+
+
+async def test_who_may_not_let_go_on_alone_what_was_left_is_told_to_deny_it(
+    house: House, runtime: Runtime, cell: HandCell
+) -> None:
+    cell.facts = dict(AT_TOOLS)
+    await cell.state()
+    made, question = await asked(runtime, press())
+    for who in (OPERATOR, OPERATOR_2):
+        await answer(runtime, question, who=who)
+    session = made["id"]
+    await cell.expect("launch")
+    await cell.launched(session)
+    await taken(runtime, cell, session)
+    house.withdrawn.add(OPERATOR_2.name)
+    await cell.report("status", session, status="escalated", reason="control_lapsed")
+    await cell.report("escalation", session, reason="control_lapsed", failure="taken_over")
+    await cell.state(status="escalated")
+    left = runtime.desk.pending_for(session)
+    assert left is not None
+    with pytest.raises(Conflict, match="more approvals") as refused:
+        await runtime.desk.resolve(left.id, OPERATOR, "approve", left.digest)
+    assert {why["remedy"] for why in refused.value.reasons} == {"deny it"}
 
 
 def codes(asked: Escalation) -> set[str]:
