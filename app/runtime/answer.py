@@ -34,6 +34,7 @@ from app.runtime.errors import Conflict, InvalidParams
 from app.runtime.escalation import APPROVED, DENIED, ROLLBACK, bound_digest
 from app.runtime.grant import GrantEnded
 from app.runtime.invocation import reasons_document
+from app.runtime.kernel import ProfileLeft
 from app.runtime.readmission import lapsed, not_sent, readmitted
 
 if TYPE_CHECKING:
@@ -314,8 +315,9 @@ class Answer:
                 )
                 with self._questions.grants.use(judgement.grant) as used:
                     await self._questions.commit([*drafts, *launch.events], closed, version, [*launch.rows, *used])
-        except GrantEnded as error:  # it was answered all the same, and is asked about again
-            raise await not_sent(self._questions, present, "approve", "answer again, once it is asked about") from error
+        except (GrantEnded, ProfileLeft) as error:  # it was answered all the same, and is asked about again
+            remedy = "answer again, once it is asked about"
+            raise await not_sent(self._questions, cell, present, "approve", remedy) from error
         return closed
 
     async def _ask_more(self, need: ApprovalNeed) -> NoReturn:

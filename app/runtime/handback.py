@@ -22,6 +22,7 @@ from app.runtime.errors import Conflict, NotFound
 from app.runtime.grant import GrantEnded
 from app.runtime.hands import HELD, RETURNING, given_back
 from app.runtime.invocation import Invocation, may_see
+from app.runtime.kernel import ProfileLeft
 from app.runtime.overtaken import check_newest
 from app.runtime.readmission import RULE, not_sent, readmitted, tell_first
 from app.runtime.uncut import uncut
@@ -148,9 +149,9 @@ class Handbacks:
                     version = self._given_back(cell, present, "resume", terms=terms, policy_version=digest)
                     with self.desk.grants.use(judgement.grant) as used:
                         await self.register.append([*drafts, *launch.events], [*launch.rows, *used], [version])
-            except GrantEnded as error:
+            except (GrantEnded, ProfileLeft) as error:
                 remedy = "hand back again, roll it back, or end it"
-                raise await not_sent(self.desk, present, "resume", remedy) from error
+                raise await not_sent(self.desk, cell, present, "resume", remedy) from error
 
     async def _roll_back(self, cell: Cell, invocation: str, principal: Principal, decided: Moment) -> None:
         entry = self.register.entry(invocation)

@@ -83,6 +83,10 @@ ANOTHER_PROFILE: Final = Reason(
 )
 
 
+class ProfileLeft(Exception):
+    """A cell was put under another profile than what was decided about it before that was sent."""
+
+
 class Judgement(NamedTuple):
     """A decision together with the policy and profile it was made under, and what it was made on."""
 
@@ -383,6 +387,7 @@ class Kernel:
         Raises:
             Conflict: `cell_offline`, the cell of a session that is to change hands was away meanwhile.
             GrantEnded: the grant by which such a session was to go on ended while that was recorded; nothing is sent.
+            ProfileLeft: its cell was put under another profile than it was to go on under; nothing is sent.
             RecordUnavailable: the log was found to be damaged; nothing is sent.
         """
         cell = self._fleet.cell(invocation.cell or "")
@@ -401,8 +406,8 @@ class Kernel:
             raise
         if anew is None and self.overtaken(invocation, judgement):
             return  # another policy or profile came into force while this was recorded, and does not let it begin
-        if anew is not None and judgement.grant not in (None, *(grant.id for grant in self.standing(cell))):
-            raise GrantEnded(judgement.grant)
+        if anew is not None:
+            self._check_standing(cell, invocation, judgement)
         message = Launch(
             body=base64.b64encode(signed.body).decode(),
             signature=base64.b64encode(signed.signature).decode(),
@@ -412,6 +417,17 @@ class Kernel:
             self._fleet.order(cell, message, decided=anew or Moment(restraints, cell.attachment))
         if anew is not None:
             self.rebound(invocation, judgement)
+
+    def _check_standing(self, cell: Cell, invocation: Invocation, judgement: Judgement) -> None:
+        """See that a session may still go on by what was decided; who drives one keeps to the profile it began under.
+
+        Raises:
+            GrantEnded, ProfileLeft: it may not.
+        """
+        if judgement.grant not in (None, *(grant.id for grant in self.standing(cell))):
+            raise GrantEnded(judgement.grant)
+        if invocation.capability != TAKEOVER and cell.profile != judgement.profile:
+            raise ProfileLeft(judgement.profile)
 
     def _launching(
         self, invocation: Invocation, judgement: Judgement, authorization: Authorization, body: str

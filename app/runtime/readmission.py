@@ -106,21 +106,22 @@ async def tell_first(
     return told.seq
 
 
-async def not_sent(desk: Questions, before: Invocation, op: str, remedy: str) -> Conflict:
-    """Record that a session was not let go on after all, since the grant that answered for it has ended meanwhile.
+async def not_sent(desk: Questions, cell: Cell, before: Invocation, op: str, remedy: str) -> Conflict:
+    """Record that a session was not let go on after all: its grant has ended meanwhile, or its cell left its profile.
 
     It is in the hands, and under the terms, that it was in before. Returns the refusal of whoever let it go on.
 
     Raises:
         RecordUnavailable: that is not recorded; nothing was sent all the same.
     """
+    why = ENDED._replace(remedy=remedy) if cell.profile == before.profile else _gave_way(cell, before)
     recorded = desk.register.newest(before.id)
-    if recorded is not None and recorded is not before:  # else the grant ended before that, and there is no record
-        body = {"what": "not_sent", "op": op, "code": ENDED.code}
+    if recorded is not None and recorded is not before:  # else that came first, and there is no record
+        body = {"what": "not_sent", "op": op, "code": why.code}
         draft = EventDraft(kind=EventKind.CELL, actor=SERVER, invocation=before.id, body=body)
         version = recorded.evolve(desk.register.now(), takeover=before.takeover, terms=before.terms)
         await desk.register.append([draft], versions=[version])
-    return _refused(f"{ENDED.message}: it was not sent", [ENDED._replace(remedy=remedy)])
+    return _refused(f"{why.message}: it was not sent", [why])
 
 
 def _refused(message: str, reasons: Sequence[Reason]) -> Conflict:

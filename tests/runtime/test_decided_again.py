@@ -202,6 +202,24 @@ async def test_a_hand_back_is_not_sent_when_its_grant_ends_while_it_is_recorded(
     assert permit(cell)["approvals"] == [OPERATOR.name]
 
 
+async def test_a_hand_back_is_not_sent_when_its_cell_leaves_its_profile_while_it_is_recorded(
+    runtime: Runtime, cell: HandCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    session = await approved(runtime, cell, OPERATOR)
+    await taken(runtime, cell, session)
+    launched, gate = len(cell.all("launch")), Gate(runtime, monkeypatch)
+    back = asyncio.ensure_future(runtime.governor.release(session, OPERATOR, "resume"))
+    async with stating(cell, status="running"):
+        await gate.reached.wait()
+    monkeypatch.undo()  # the record takes what comes behind it first
+    await runtime.governor.set_profile(CELL, "real-restricted", ENGINEER)
+    gate.open.set()
+    with pytest.raises(Conflict, match="it was not sent") as refused:
+        await back
+    assert [why["code"] for why in refused.value.reasons] == ["profile_changed"]
+    assert len(cell.all("launch")) == launched
+
+
 async def test_an_answer_after_a_lapse_is_not_sent_when_its_grant_ends_while_it_is_recorded(
     runtime: Runtime, cell: HandCell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
