@@ -10,6 +10,7 @@ here, and an auditor compares.
 | human, `reset` | not latched by a word any more; one that was recorded late, but said before, changes nothing |
 | the cell's own `estop`, `reset` | latched by the cell itself, and not any more; no row repeats it |
 | the server's `not_confirmed` | the reset was not heard, unless the cell reports one: latched still |
+| the server's `confirmed` | the cell says that it has no stop although it was not heard to have had that reset |
 
 A report bears its number (`cell_seq`) and stands behind the `attached` of its link, which names the journal.
 """
@@ -28,11 +29,13 @@ if TYPE_CHECKING:
     from app.audit.event import Event
     from app.audit.reader import Reader, Row
 
+NOT_CONFIRMED: Final = "not_confirmed"  # a word of which the cell has not said that it heard it
+CONFIRMED: Final = "confirmed"  # that it came to what it was said for all the same
 LATCHED: Final = "latched"  # the server's word for a latch of which the row could not be written when it was due
 PAGE: Final = 500
 _WORDS: Final = {
     EventKind.HUMAN: ('"op":"estop"', '"op":"reset"'),
-    EventKind.CELL: ('"what":"estop"', '"what":"reset"', '"what":"not_confirmed"', f'"what":"{LATCHED}"'),
+    EventKind.CELL: tuple(f'"what":"{what}"' for what in ("estop", "reset", NOT_CONFIRMED, CONFIRMED, LATCHED)),
 }
 UNNAMED: Final = frozenset({""})
 _ATTACHED: Final = ('"link":"attached"',)
@@ -45,14 +48,14 @@ class Latch(NamedTuple):
 
     worded: bool = False  # by the newest word: what the row says
     itself: bool = False  # by the cell's own
-    unheard: bool = False  # of a reset the cell has said nothing
+    unheard: str | None = None  # the journal of a cell that has said nothing of a reset; "" where nobody wrote it down
     answered: bool = True  # the cell has reported a reset since the newest that was recorded
     reset_at: str = ""
 
     @property
     def latched(self) -> bool:
         """Say whether nothing may move before a reset."""
-        return self.worded or self.itself or self.unheard
+        return self.worded or self.itself or self.unheard is not None
 
 
 class Span(NamedTuple):
@@ -91,9 +94,11 @@ def _follow(latch: Latch, event: Event, body: Mapping[str, Any]) -> Latch:
             answered = "said_at" in body and body["said_at"] <= latch.reset_at
             return latch if answered else latch._replace(worded=True)
         case EventKind.HUMAN, "reset", _:
-            return latch._replace(worded=False, unheard=False, answered=False, reset_at=event.at)
-        case EventKind.CELL, "reset", "not_confirmed":
-            return latch._replace(unheard=not latch.answered)
+            return latch._replace(worded=False, unheard=None, answered=False, reset_at=event.at)
+        case EventKind.CELL, "reset", what if what == NOT_CONFIRMED:
+            return latch if latch.answered else latch._replace(unheard=str(body.get("journal", "")))
+        case EventKind.CELL, "reset", what if what == CONFIRMED:
+            return latch._replace(unheard=None, answered=True)
         case EventKind.CELL, _, what if what == LATCHED:
             return latch._replace(worded=True)
         case _:
@@ -108,7 +113,7 @@ def _by_itself(latch: Latch, event: Event, body: Mapping[str, Any]) -> Latch:
         case "estop":
             return latch._replace(itself=True)
         case "reset":
-            return latch._replace(itself=False, unheard=False, answered=True)
+            return latch._replace(itself=False, unheard=None, answered=True)
         case _:
             return latch
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import secrets
 from typing import TYPE_CHECKING, Any, Final
 
+from app.audit.cells import NOT_CONFIRMED
 from app.audit.errors import RecordUnavailable
 from app.audit.event import EventDraft
 from app.clock import monotonic_s, rfc3339
@@ -28,7 +29,6 @@ if TYPE_CHECKING:
     from app.runtime.register import Register
 
 CONFIRM_S: Final = 10.0  # between the two steps of a reset
-NOT_CONFIRMED: Final = "not_confirmed"  # a word of which the cell has not said that it heard it
 
 
 class CellControls:
@@ -68,8 +68,9 @@ class CellControls:
         """Leave a latched stop; recorded first, moves nothing.
 
         The answer waits, shortly, for the cell to say so itself; its `latched` is what a launch would meet. Where the
-        cell does not say so, the record says that behind the reset (`not_confirmed`). A stop that the cell has set by
-        itself since its newest state, as it was when this was said, or armed, stays.
+        cell does not say so, the record says that behind the reset (`not_confirmed`), and the cell counts as latched
+        until it says that it has no stop (`confirmed`), or hears another reset. A stop that the cell has set by itself
+        since its newest state, as it was when this was said, or armed, stays.
 
         Args:
             cell_id: which cell.
@@ -101,10 +102,13 @@ class CellControls:
             cell.latch_unkept = unkept or cell.latch_unkept
             raise
         async with cell.unlatching:
+            cell.unheard = cell.journal if cell.stops == before else None
             if cell.stops == before:  # none has come while this was recorded, or waited for another reset
                 cell.latched = cell.latch_unkept = False
-                if not await self.fleet.unlatch(cell, principal.name, seen=seen, decided=decided):
-                    body = {"what": NOT_CONFIRMED, "op": "reset", "cell": cell.id}
+                if await self.fleet.unlatch(cell, principal.name, seen=seen, decided=decided):
+                    cell.unheard = None
+                elif cell.unheard is not None:  # nor has it reported one
+                    body = {"what": NOT_CONFIRMED, "op": "reset", "cell": cell.id, "journal": cell.unheard}
                     await self.register.say(EventDraft(kind=EventKind.CELL, actor=SERVER, body=body))
 
     def arm_reset(self, cell_id: str, principal: Principal) -> dict[str, Any]:

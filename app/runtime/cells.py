@@ -121,6 +121,8 @@ class Cell:
     latched: bool = False
     latch_unkept: bool = False  # the record could not take the latch: it is written as soon as that is possible
     row_unkept: bool = False  # nor that the cell is there
+    itself: bool = False  # it has reported a stop, and no reset since
+    unheard: str | None = None  # the journal that it had when a reset was said of which it has said nothing
     stops: int = 0  # emergency stops so far: a reset leaves those before it, none that comes while it is recorded
     journal: str = ""  # the one its reports are numbered in; "" before its first hello
     taken: dict[str, int] = field(default_factory=dict[str, int])  # by journal, the last report that the log holds
@@ -248,6 +250,17 @@ class Cell:
             self.owed.pop((op, invocation), None)
         if op == PAUSE and refused:
             self.restrained.pop((op, invocation), None)
+
+    def reported(self, what: object) -> None:
+        """Note what it has reported of its stop."""
+        if what == "estop":
+            self.itself = True
+        elif what == "reset":
+            self.itself, self.unheard = False, None
+
+    def forgetful(self, journal: str) -> bool:
+        """Say whether a cell that is back with this journal cannot know of a stop any more that it may have had."""
+        return self.unheard not in {None, journal} or (self.itself and self.journal != journal)
 
     def lifted(self, since: int) -> None:
         """Note that the session goes on by the word of somebody who knew of the restraints up to that number."""

@@ -41,7 +41,7 @@ KNOWN: Final[Mapping[str, tuple[str, str]]] = {
     "taken_over": ("a human took the controls", "look at `takeover.facts`: the state it left"),
     "control_lapsed": ("the human at the controls left without a word", "wait until somebody has seen to the robot"),
     "cancelled": ("it was cancelled", ""),
-    "estop": ("an emergency stop was pressed", "wait until it is reset"),
+    "estop": ("an emergency stop ended it", "wait until it is reset"),
     "guard_broken": ("what guards the cell broke, and power was cut", "leave it to a human: the cell needs service"),
     "loop_broken": ("the cell's control loop broke, and power was cut", "leave it to a human: the cell needs service"),
     "not_held": ("the arm moved while it was held, and power was cut", "leave it to a human: the drives need service"),

@@ -12,11 +12,14 @@ import contextlib
 import secrets
 from typing import TYPE_CHECKING, Any, Final
 
+from app.audit.cells import CONFIRMED
 from app.audit.errors import RecordUnavailable
+from app.audit.event import EventDraft
 from app.clock import monotonic_s
 from app.governance.model import SESSION, CellFacts, EventKind
 from app.protocol import BEAT_MS, LEASE_MS, Estop, Human, Launch, Policy, ProtocolError, Reset, Watch
 from app.runtime.cells import FRESH_S, Reunion, read_world
+from app.runtime.drafts import SERVER
 from app.runtime.errors import Conflict
 from app.runtime.link import DEAD_S, SILENT_S, TRY_LATER, Attachment
 from app.runtime.roster import Roster
@@ -136,7 +139,7 @@ class Fleet:
 
     def latched(self, cell: Cell) -> bool:
         """Say whether a stop is latched, on the server or on the cell, which may not have heard of its reset yet."""
-        if cell.latched or cell.reset:
+        if cell.latched or cell.reset or cell.unheard is not None:
             return True
         hello = None if cell.attachment is None else cell.attachment.hello
         said = hello if cell.state is None else cell.state
@@ -384,6 +387,7 @@ class Fleet:
         cell.lapsed = away_s is None or away_s >= LEASE_MS / 1000
         if "" in cell.taken:  # recorded before journals had names: the numbers go on in this one
             cell.taken[hello.journal] = cell.taken.pop("")
+        cell.latched |= cell.forgetful(hello.journal)
         cell.journal = hello.journal  # another one counts for itself, and those before it stay known
         cell.attachment = attachment
         cell.replaced = present is not None
@@ -423,6 +427,20 @@ class Fleet:
         fault = None if cell.state is None else cell.state.fault
         if fault is not None and fault.ended and attachment.settled:
             await self._desk.unrecorded(cell.id, fault.ended)
+
+    async def _confirmed(self, cell: Cell) -> None:
+        """Record that a cell has no stop although it was not heard to have had its reset: it stays latched until then.
+
+        It never heard of the stop, or of both. A start knows by this alone that nothing is latched.
+        """
+        said = cell.state if cell.fresh else None
+        pending = cell.latched or cell.reset or cell.resetting
+        if cell.unheard != cell.journal or said is None or said.latched or pending:
+            return
+        body = {"what": CONFIRMED, "op": "reset", "cell": cell.id}
+        with contextlib.suppress(RecordUnavailable):
+            await self._register.append([EventDraft(kind=EventKind.CELL, actor=SERVER, body=body)])
+            cell.unheard = cell.unheard if cell.resetting else None
 
     def _stop_stray(self, cell: Cell, attachment: Line) -> None:
         """Tell a cell to stop a session that nobody believes it to have: it ended, or is not known here."""
@@ -528,6 +546,8 @@ class Fleet:
                 cell.onward = None
             elif event.kind == EventKind.HUMAN and event.invocation is not None:
                 cell.heard(str(event.body.get("op")), event.invocation, event.body.get("refused"))
+            elif event.kind == EventKind.CELL and event.invocation is None:
+                cell.reported(event.body.get("what"))
 
     # -- keeping on --------------------------------------------------------------------------------------------------
 
@@ -568,6 +588,7 @@ class Fleet:
             if attachment is not None and attachment.welcomed:
                 await self.caught_up(attachment)
                 await self._unrecorded(cell, attachment)
+                await self._confirmed(cell)
             await self._desk.overdue(cell.id)
 
 

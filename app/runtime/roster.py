@@ -156,12 +156,15 @@ class Roster:
     async def _believe_stops(self, settings: Mapping[str, Row]) -> None:
         """Latch every cell whose stop stands in the log, by a word or its own report; also one that no row knows.
 
-        Where log and row disagree the stricter holds: what the row latches stays latched.
+        One whose newest reset was not heard says itself, at its return, whether it is latched still. Where log and row
+        disagree the stricter holds: what the row latches stays latched.
         """
         known = await self._register.store.ask(latches)
         for cell_id, latch in known.items():
             if latch.latched:
-                self._recalled(cell_id).latched = True
+                cell = self._recalled(cell_id)
+                cell.latched |= latch.worded or latch.itself
+                cell.itself, cell.unheard = latch.itself, latch.unheard
         for cell_id in self._cells:
             worded = cell_id in known and known[cell_id].worded
             name = f"estop/{cell_id}"

@@ -31,6 +31,10 @@ def missed(cell: str = CELL) -> EventDraft:
     return draft("cell", None, "server", what="not_confirmed", op="reset", cell=cell)
 
 
+def confirmed() -> EventDraft:
+    return draft("cell", None, "server", what="confirmed", op="reset", cell=CELL)
+
+
 KEPT = draft("cell", None, "server", what="latched", cell=CELL)
 STORIES: dict[str, tuple[list[EventDraft], bool, bool]] = {
     "a stop": ([word("estop")], True, True),
@@ -44,6 +48,9 @@ STORIES: dict[str, tuple[list[EventDraft], bool, bool]] = {
     "a reset that was missed": ([word("estop"), word("reset"), missed()], False, True),
     "one reported before that": ([word("estop"), word("reset"), told("reset"), missed()], False, False),
     "one reported after that": ([word("estop"), word("reset"), missed(), told("reset")], False, False),
+    "one that its cell needs no more": ([word("estop"), word("reset"), missed(), confirmed()], False, False),
+    "one told of after that": ([word("estop"), word("reset"), confirmed(), missed()], False, False),
+    "one of a cell with a stop of its own": ([told("estop"), word("reset"), missed(), confirmed()], False, True),
     "a reset that was missed, and another": ([word("reset"), missed(), word("reset")], False, False),
     "a stop said before its reset": ([word("reset"), word("estop", said_at=TIME)], False, False),
     "a stop said after its reset": ([word("reset"), word("estop", said_at="2999-01-01T00:00:00.000Z")], True, True),

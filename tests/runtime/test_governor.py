@@ -622,7 +622,7 @@ async def test_a_reset_that_the_cell_does_not_confirm_says_that_it_is_latched(
     assert (await runtime.governor.reset(CELL, OPERATOR))["latched"]
     said = [(event.kind, event.payload()) for event in await runtime.store.events()][-2:]
     assert [kind for kind, _ in said] == ["human", "cell"]
-    assert said[-1][1] == {"what": "not_confirmed", "op": "reset", "cell": CELL}
+    assert said[-1][1] == {"what": "not_confirmed", "op": "reset", "cell": CELL, "journal": cell.journal}
     monkeypatch.undo()
     cell.obeys = True
     assert not (await runtime.governor.reset(CELL, OPERATOR))["latched"]

@@ -19,6 +19,7 @@ from app.audit.examination import examine_file
 from app.audit.places import Places
 from app.audit.store import AuditStore
 from app.runtime import fleet as fleet_module
+from app.runtime.assembly import Runtime
 from app.runtime.drafts import escalation_event
 from app.runtime.errors import Conflict
 
@@ -422,8 +423,69 @@ async def test_a_reset_of_which_its_cell_has_said_nothing_leaves_it_latched_at_a
         if reported == "after it was missed":
             await cell.report("cell", what="reset")
     async with house.open() as second:
-        assert second.fleet.cell(CELL).latched is (reported == "never")
+        assert second.fleet.latched(second.fleet.cell(CELL)) is (reported == "never")
         assert second.register.unfounded == {}
+
+
+@pytest.mark.parametrize("back", ["as it was", "without its folder", "stopped"])
+@pytest.mark.parametrize("seen", [True, False])
+async def test_a_stop_whose_reset_was_not_heard_is_left_where_its_cell_says_so_whichever_server_hears_that(
+    house: House, monkeypatch: pytest.MonkeyPatch, back: str, seen: bool
+) -> None:
+    monkeypatch.setattr(fleet_module, "RESET_S", 0.05)
+    journal, stopped = "jrn-2" if back == "without its folder" else "jrn-1", back != "as it was"
+
+    async def returns(server: Runtime) -> HandCell:
+        assert server.governor.cells()[0]["latched"], "it has not said yet how it is"
+        cell = await HandCell(server, journal=journal, latched=back == "stopped").dial()
+        assert server.governor.cells()[0]["latched"]
+        await cell.state()
+        await server.fleet.tend_once()
+        await until(lambda: cell.latched is stopped)
+        assert server.governor.cells()[0]["latched"] is stopped
+        return cell
+
+    async with house.open() as first:
+        cell = await HandCell(first, obeys=False).dial()
+        await cell.state()
+        await first.governor.estop(CELL, OPERATOR)
+        assert (await first.governor.reset(CELL, OPERATOR))["latched"]
+        await cell.hang_up()
+        name = ""
+        if seen:
+            cell = await returns(first)
+        if seen and not stopped:
+            document, _ = await first.governor.propose(AGENT, navigate())
+            await cell.launched(name := document["id"])
+    async with house.open() as second:
+        if name:
+            assert not second.governor.cells()[0]["latched"]
+            cell = await HandCell(second, seq=2, invocation=name, status="escalated").dial()
+            await cell.state()
+            await until(lambda: not second.fleet.cell(CELL).behind)
+            assert (cell.all("estop"), cell.ops()) == ([], [])
+            return
+        cell = await returns(second)
+        if stopped:
+            await second.governor.reset(CELL, OPERATOR)
+        assert not second.governor.cells()[0]["latched"]
+        assert not (await second.store.ask(latches))[CELL].latched
+
+
+async def test_a_stop_that_a_cell_latched_by_itself_outlives_its_folder_while_the_server_runs(house: House) -> None:
+    async with house.open() as runtime:
+        cell = await HandCell(runtime, latched=True).dial()
+        await cell.report("cell", what="estop", detail="")
+        await cell.hang_up()
+        again = await HandCell(runtime, journal="jrn-2").dial()
+        await again.expect("estop")
+        await again.report("cell", what="estop", detail="")
+        await runtime.governor.reset(CELL, OPERATOR)
+        await again.report("cell", what="reset", detail="")
+        await again.hang_up()
+        third = await HandCell(runtime, journal="jrn-3").dial()
+        await third.state()
+        assert not runtime.governor.cells()[0]["latched"]
 
 
 async def test_a_stop_that_was_recorded_after_its_reset_was_said_before_it(house: House) -> None:

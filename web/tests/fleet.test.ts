@@ -95,6 +95,8 @@ describe('the stop a cell is latched by', () => {
     expect(stopOf('workcell-1', [...log.slice(0, 2), word('estop', 'eve'), unheard])?.by).toBe('eve');
     expect([log, log.slice(0, 2), [...log, word('estop', 'eve')], [...log, word('reset', 'bob')]].map((words) => unheardOf('workcell-1', words))).toEqual(['bob', null, null, null]);
     expect(unheardOf('workcell-2', log)).toBeNull();
+    const left = [...log, event('cell', { what: 'confirmed', op: 'reset', cell: 'workcell-1' }, null, 'server')];
+    expect([stopOf('workcell-1', left), unheardOf('workcell-1', left)]).toEqual([null, null]);
   });
   it('is not known where the record of it is not here', () => {
     expect(stopOf('workcell-1', [word('estop', 'ann'), word('reset', 'ann')])).toBeNull();

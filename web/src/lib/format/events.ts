@@ -301,6 +301,7 @@ function cell(body: Body, event: LogEvent): Line {
   if (op === 'estop') return line('stop', 'danger', ` obeyed, power off, by ${by}`, 'Emergency stop');
   if (op === 'reset') return line('undo', 'human', ` by ${by}, nothing moved`, 'Reset');
   if (op === 'not_confirmed') return line('stop', 'danger', `: ${str(body['cell'])} has not said that it heard it, and stays stopped until it does`, 'Reset not confirmed');
+  if (op === 'confirmed') return line('undo', 'quiet', `: ${str(body['cell'])} is back and says that it has no stop`, 'Reset confirmed');
   if (link !== '') return line('plug', link === 'lost' ? 'danger' : 'quiet', `Cell link ${link}`);
   return line('plug', op === 'broken' ? 'danger' : 'quiet', `Cell: ${cellWords(op || 'report')}`);
 }

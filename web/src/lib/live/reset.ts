@@ -21,6 +21,7 @@ export function stopOf(cell: string, events: readonly LogEvent[]): { by: string;
     if (isWord(event, 'estop')) stop ??= event; // whoever presses it after them changes nothing
     else if (isWord(event, 'reset')) [stop, left] = [null, stop];
     else if (isUnheard(event)) stop ??= left;
+    else if (isLeft(event)) stop = null;
   }
   return stop === null ? null : { by: stop.actor, at: stop.at };
 }
@@ -50,7 +51,7 @@ export function isNews(stop: StopElsewhere['stop'], putAway: string | null | und
 
 /** Whose reset the cell was not heard to have had, if that was the last word on its stop; null: nobody's. */
 export function unheardOf(cell: string, events: readonly LogEvent[]): string | null {
-  const words = events.filter((event) => event.body['cell'] === cell && (isWord(event, 'estop') || isWord(event, 'reset') || isUnheard(event)));
+  const words = events.filter((event) => event.body['cell'] === cell && (isWord(event, 'estop') || isWord(event, 'reset') || isUnheard(event) || isLeft(event)));
   const last = words.at(-1);
   return last !== undefined && isUnheard(last) ? (words.findLast((event) => isWord(event, 'reset'))?.actor ?? last.actor) : null;
 }
@@ -67,6 +68,11 @@ function isWord({ kind, body }: LogEvent, op: string): boolean {
 /** Whether an event says that a reset came to nothing: the cell was not heard to have had it. */
 function isUnheard({ kind, body }: LogEvent): boolean {
   return kind === 'cell' && body['what'] === 'not_confirmed' && body['op'] === 'reset';
+}
+
+/** Whether an event says that the cell of such a reset has no stop all the same. */
+function isLeft({ kind, body }: LogEvent): boolean {
+  return kind === 'cell' && body['what'] === 'confirmed' && body['op'] === 'reset';
 }
 
 /** Whole seconds that are left to confirm. */
