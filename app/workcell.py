@@ -75,7 +75,7 @@ def run_cell(settings: CellSettings) -> int:
 async def _run(settings: CellSettings) -> int:
     scenario, robot = read_scenario(settings.scenario), robot_model(settings.robot)
     boot = f"boot_{secrets.token_hex(8)}"
-    journal, latch = Journal(settings.data / "journal", boot=boot), Latch(settings.data / "latch")
+    journal, latch = Journal(settings.data / "journal", boot=boot, now_s=wall_s()), Latch(settings.data / "latch")
     close_left_open(journal, Recorder(journal, wall_s, lambda _: None))
     inbox: SimpleQueue[Order] = SimpleQueue()
     outbox, lease = Outbox(journal.last_seq), Lease()

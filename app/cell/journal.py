@@ -36,6 +36,7 @@ if TYPE_CHECKING:
 COMPACT_BYTES: Final = 4 * 1024 * 1024
 USED: Final = "used:"
 FORGOTTEN: Final = "forgotten_s"
+BEGUN: Final = "begun_s"
 ID_BYTES: Final = 12
 
 
@@ -66,12 +67,13 @@ class Entry(NamedTuple):
 class Journal:
     """An append-only file of entries. Not thread-safe: one thread at a time writes, the one whose turn it is."""
 
-    def __init__(self, path: Path, *, boot: str) -> None:
+    def __init__(self, path: Path, *, boot: str, now_s: float | None = None) -> None:
         """Open or create the file and read what is in it.
 
         Args:
             path: The file; its directory must exist.
             boot: Name of this run of the cell's process.
+            now_s: Wall time, seconds since the epoch, for a file that is made; without it nobody knows when it was.
 
         Raises:
             JournalDamaged: a line that is not the last is damaged.
@@ -95,7 +97,7 @@ class Journal:
             self._found = self._seq  # what stood in the file as this run found it
             sync_folder(path.parent)
             if not self.id:
-                self._name()
+                self._name(now_s)
         except OSError as error:
             raise JournalUnavailable(f"cannot open journal `{path}`: {error.strerror}") from error
 
@@ -267,6 +269,12 @@ class Journal:
         latest = self.marks.get(FORGOTTEN)
         return float(latest) if isinstance(latest, (int, float)) else -math.inf
 
+    @property
+    def begun_s(self) -> float:
+        """Return when the file was made: permits bound before are not in it; minus infinity where nobody knows."""
+        begun = self.marks.get(BEGUN)
+        return float(begun) if isinstance(begun, (int, float)) else -math.inf
+
     def forget_permits(self, now_s: float) -> None:
         """Forget used permits that have expired, and keep the latest expiry among them.
 
@@ -347,12 +355,14 @@ class Journal:
         self.marks = {name: value for name, value in self.marks.items() if value is not None}
         self._find_first()
 
-    def _name(self) -> None:
+    def _name(self, now_s: float | None) -> None:
         """Give the file its name, durably: nothing is reported under one that a power cut would take back."""
         name = f"jrn_{secrets.token_hex(ID_BYTES)}"
-        self._write({"j": name})
+        marks: dict[str, Json] = {} if now_s is None else {BEGUN: now_s}
+        self._write({"j": name, "m": marks})
         self.sync()
         self.id = name
+        self.marks.update(marks)
 
     def _take(self, record: dict[str, Json]) -> None:
         if isinstance(name := record.get("j"), str):

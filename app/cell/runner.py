@@ -440,6 +440,7 @@ class Runner:
             now_s=self._wall(),
             used=self._record.used_permits(),
             forgotten_s=self.journal.forgotten_s,
+            begun_s=self.journal.begun_s,
             former=self._former,
         )
 

@@ -111,7 +111,7 @@ def mint(authorization: Authorization, private_key: Ed25519PrivateKey) -> Signed
     return SignedAuthorization(body, private_key.sign(body))
 
 
-def verify(
+def verify(  # noqa: PLR0913  # all that a permit is held against, each by its name
     signed: SignedAuthorization,
     *,
     key: Ed25519PublicKey,
@@ -120,6 +120,7 @@ def verify(
     now_s: float,
     used: AbstractSet[str],
     forgotten_s: float = -math.inf,
+    begun_s: float = -math.inf,
     former: AbstractSet[str] = frozenset(),
 ) -> Grant:
     """Return the grant that a signed authorization is worth on this cell, under this policy, now.
@@ -133,6 +134,8 @@ def verify(
         used: Identifiers of permits this cell has bound or refused before.
         forgotten_s: The latest expiry of those that are not among them any more: whether a permit that expires no later
             was bound, nobody here knows, and it had expired once already, whatever the clock says now.
+        begun_s: When this cell began to keep them, by its clock: whether a permit that was good just then was bound
+            before, nobody here knows.
         former: Digests of policies that were in force before and are held here still: a permit that was minted right
             before a change is under one of them, and its session is watched by that.
 
@@ -162,6 +165,12 @@ def verify(
             "expired",
             not permit.expires_at_s > forgotten_s,
             f"permit expired at `{permit.expires_at_s}`: it is `{now_s}`, but this cell's clock was beyond that before",
+        ),
+        (
+            "used",
+            permit.issued_at_s < begun_s < permit.expires_at_s,
+            f"permit was issued at `{permit.issued_at_s}`, this cell's journal was begun at `{begun_s}`: it may have "
+            "been bound before; a permit is good for one launch",
         ),
         (
             "used",

@@ -63,6 +63,7 @@ KNOWN: Final[Mapping[str, tuple[str, str]]] = {
         "by the cell's clock its authorization is from the future",
         "propose it again once the clocks of server and cell agree",
     ),
+    "used": ("the cell may have used its authorization up before its journal was begun", "propose it again"),
     "holding": ("the cell holds since it lost its link", "propose it again when the link holds"),
     "unknown_capability": ("the robot has no skill for it", "choose another capability, or another cell"),
     "unknown_name": ("the cell knows nothing of that name", "choose another, or wait until the cell is restarted"),

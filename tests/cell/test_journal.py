@@ -241,6 +241,19 @@ def test_the_latest_expiry_of_what_was_forgotten_is_kept_for_a_clock_that_is_put
     assert Journal(tmp_path / "journal", boot="b").forgotten_s == 50.0
 
 
+def test_when_it_was_begun_is_known_of_a_file_that_was_made_then(tmp_path: Path) -> None:
+    path = tmp_path / "journal"
+    journal = Journal(path, boot="a", now_s=50.0)
+    assert journal.begun_s == 50.0
+    journal.compact()
+    journal.close()
+    assert Journal(path, boot="b", now_s=60.0).begun_s == 50.0
+    path.unlink()
+    assert Journal(path, boot="c", now_s=70.0).begun_s == 70.0
+    path.unlink()
+    assert Journal(path, boot="d").begun_s == -math.inf
+
+
 @pytest.mark.parametrize("cut", [1, 5, 12, 30])
 def test_a_torn_last_line_is_cut_off_and_said(tmp_path: Path, cut: int) -> None:
     path = tmp_path / "journal"

@@ -148,6 +148,19 @@ def test_a_permit_is_good_once_even_after_a_restart(rig: Rig, tmp_path: Path) ->
     rig.launch(id="auth-2")
 
 
+def test_a_permit_that_may_have_been_bound_before_the_journal_was_lost_is_good_no_more(
+    rig: Rig, tmp_path: Path
+) -> None:
+    rig.launch()
+    rig.finish()
+    rig.journal.close()
+    (tmp_path / "journal").unlink()
+    rig.journal = Journal(tmp_path / "journal", boot="boot-2", now_s=rig.now_s)
+    rig.runner = rig.start()
+    assert rig.runner.launch(signed()) == "used"
+    rig.launch(id="auth-2", issued_at_s=rig.now_s)
+
+
 REFUSED: dict[str, tuple[Callable[[Rig], object], Callable[[Rig], object]]] = {
     "wrong_policy": (
         lambda rig: rig.runner.adopt(policy_digest="sha256:other", key=KEY.public_key()),

@@ -98,6 +98,8 @@ def test_nothing_of_an_unsigned_body_is_parsed() -> None:
         ({"used": frozenset({"auth-1"})}, "used"),
         ({"forgotten_s": 1030.25}, "expired"),
         ({"forgotten_s": float("nan")}, "expired"),
+        ({"begun_s": 1000.26}, "used"),
+        ({"begun_s": 1030.0}, "used"),
     ],
 )
 def test_a_good_signature_is_not_enough(changes: dict[str, object], expected: str) -> None:
@@ -111,6 +113,11 @@ def test_a_permit_is_good_until_just_before_its_expiry_and_despite_a_small_clock
 
 def test_a_permit_that_expires_after_all_that_were_forgotten_was_not_among_them() -> None:
     assert check(mint(PERMIT, KEY), forgotten_s=1030.24)
+
+
+@pytest.mark.parametrize("begun_s", [900.0, 1000.0, 1030.25, 9000.0, float("nan")])
+def test_a_permit_that_was_not_good_when_the_cell_began_to_keep_them_was_not_bound_before(begun_s: float) -> None:
+    assert check(mint(PERMIT, KEY), begun_s=begun_s), "a clock that ran ahead by then and was put back bars nothing"
 
 
 def test_a_refusal_after_the_signature_names_the_invocation() -> None:
