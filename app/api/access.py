@@ -72,6 +72,7 @@ ACCESS: Mapping[tuple[str, str], frozenset[Role] | None] = {
     ("GET", "/v1/cells"): READERS,
     ("GET", "/v1/capabilities"): READERS,
     ("GET", "/v1/policies/active"): READERS,
+    ("GET", "/v1/policies/active/watch"): PEOPLE,
     ("GET", "/v1/policies"): PEOPLE,
     ("POST", "/v1/policies"): ENGINEERS,
     ("GET", "/v1/policies/{digest}"): PEOPLE,

@@ -48,6 +48,11 @@ async def active(request: Request) -> Response:
     return _described(_active(parts_of(request).policy()), request)
 
 
+async def watched(request: Request) -> Response:
+    """Describe what each profile of the set in force watches: signals, thresholds and responses."""
+    return answer(parts_of(request).policy().watched())
+
+
 async def versions(request: Request, query: Annotated[VersionQuery, Query()]) -> Response:
     """List every version of policy: whose it is, why it was brought, and when it was in force; the newest first."""
     known = parts_of(request).versions
@@ -139,6 +144,7 @@ def register(router: APIRouter) -> None:
     """Add the routes."""
     declare(router, "GET /v1/capabilities", capabilities, Answers(model=documents.CapabilityList))
     declare(router, "GET /v1/policies/active", active, Answers(model=documents.PolicySetDocument))
+    declare(router, "GET /v1/policies/active/watch", watched, Answers(model=documents.WatchedDocument))
     declare(
         router,
         "GET /v1/policies",

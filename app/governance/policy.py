@@ -7,7 +7,7 @@ and `app.governance.plans` binds it to one session.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeAlias, cast
 
 import orjson
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from app.governance.conditions import Test
     from app.governance.model import Capability, Json, Params, Site
     from app.governance.policy_code import Check, Parts
-    from app.governance.policy_model import Agent, Authority, Profile, Rule
+    from app.governance.policy_model import Agent, Authority, Profile, Rule, WatchRow
 
 
 class ParamProblem(NamedTuple):
@@ -162,6 +162,20 @@ class PolicySet:
             "authority": _describe_authority(self.authority),
             "files": sorted(self.files),
             "site": _describe_site(self.site),
+        }
+
+    def watched(self) -> dict[str, Any]:
+        """Describe what each profile watches, and how (`GET /v1/policies/active/watch`)."""
+        return {
+            "version": self.digest,
+            "profiles": {
+                name: {
+                    "watch": [_describe_watch(row) for row in profile.watch],
+                    "stale_after_ms": dict(profile.stale_after_ms),
+                    "separation": None if profile.separation is None else asdict(profile.separation),
+                }
+                for name, profile in sorted(self.profiles.items())
+            },
         }
 
     def manifests(self) -> list[dict[str, Any]]:
@@ -330,6 +344,27 @@ def _describe_profile(profile: Profile) -> dict[str, Any]:
                 "risk": sorted(risk.value for risk in review.risks),
                 "outcomes": sorted(outcome.value for outcome in review.outcomes),
             },
+        },
+    }
+
+
+def _describe_watch(row: WatchRow) -> dict[str, Any]:
+    number_or_name = row.number if row.named is None else row.named
+    response = row.response
+    return {
+        "id": row.id,
+        "applies_to": None if row.applies_to is None else sorted(row.applies_to),
+        "signal": row.signal,
+        "above": row.above,
+        "threshold": number_or_name if row.limit is None else {"limit": row.limit, "times": row.times},
+        "for_ms": row.for_ms,
+        "response": {
+            "enter": response.enter.value,
+            "clear_after_ms": response.clear_after_ms,
+            "clear_beyond": response.clear_beyond,
+            "then": response.then,
+            "persist_ms": response.persist_ms,
+            "else": response.otherwise.value,
         },
     }
 

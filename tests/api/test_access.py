@@ -41,6 +41,7 @@ EXPECTED = {
     "GET /v1/cells": "aoeu",
     "GET /v1/capabilities": "aoeu",
     "GET /v1/policies/active": "aoeu",
+    "GET /v1/policies/active/watch": "oeu",
     "GET /v1/policies": "oeu",
     "POST /v1/policies": "e",
     "GET /v1/policies/{digest}": "oeu",

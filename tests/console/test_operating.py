@@ -327,6 +327,12 @@ def test_a_profile_is_chosen_by_arrow_keys_compared_anew_when_another_changes_it
             person.press(key)
         expect(choice).to_have_value(name)
     expect(choice).to_be_focused()
+    choice.select_option("sim-relaxed")
+    change.click()
+    told = card.get_by_role("group", name="What changes").get_by_role("row")
+    expect(told.filter(has_text="A person too near")).to_contain_text("below 0.50 m, only warns, looser")
+    expect(told.filter(has_text="Taking the controls")).to_contain_text("nobody may, different")
+    card.get_by_role("button", name=f"Keep {before}").click()
     wanted, theirs = [name for name in names if name != before][:2]
     choice.select_option(wanted)
     change.click()

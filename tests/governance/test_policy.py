@@ -103,6 +103,19 @@ def test_a_rule_is_described_with_the_approvers_it_asks_for():
     assert described["organization/fragile-grip"] is None
 
 
+def test_what_a_profile_watches_is_described_with_its_thresholds_and_what_it_does():
+    described = orjson.loads(orjson.dumps(shipped().watched()))
+    assert described["version"] == shipped().digest
+    near, force = described["profiles"]["human-shared"]["watch"][:2]
+    assert (near["signal"], near["above"], near["threshold"]) == ("separation_m", False, "protective_separation_m")
+    assert (near["response"]["enter"], near["response"]["else"], near["response"]["persist_ms"]) == (
+        "PAUSE", "ESCALATE", 5000,
+    )  # fmt: skip
+    assert force["threshold"] == {"limit": "contact_force_n", "times": 1.05}
+    relaxed = described["profiles"]["sim-relaxed"]["watch"][0]
+    assert (relaxed["threshold"], relaxed["response"]["enter"]) == (0.5, "CONTINUE")
+
+
 def test_descriptions_are_json():
     assert orjson.loads(orjson.dumps(shipped().describe()))["version"] == shipped().digest
     assert len(orjson.loads(orjson.dumps(shipped().manifests()))) == len(shipped().capabilities)

@@ -1,7 +1,8 @@
 import { describe, expect, it } from 'vitest';
-import type { Cell, LogEvent } from '../src/lib/api/documents';
-import { differences } from '../src/lib/fleet/profiles';
+import type { Cell, LogEvent, WatchRule } from '../src/lib/api/documents';
+import { differences, type ProfileFacts } from '../src/lib/fleet/profiles';
 import { takesOver } from '../src/lib/fleet/takes';
+import type { Watching } from '../src/lib/fleet/watched';
 import { isNews, lastStopBy, secondsLeft, stopOf, stoppedElsewhere, unheardOf, VOIDED, whyWithdrawn } from '../src/lib/live/reset';
 import { peopleWords } from '../src/lib/fleet/people';
 import { heard, profileBarrier, resetBarrier, samePolicy } from '../src/lib/fleet/rights';
@@ -114,16 +115,62 @@ describe('a cell', () => {
 });
 
 describe('a change of profile', () => {
+  const rule = (over: Partial<WatchRule>): WatchRule => ({
+    id: 'slip', applies_to: null, signal: 'slip_m', above: true, threshold: 0.012, for_ms: 20,
+    response: { enter: 'STOP', clear_after_ms: 0, clear_beyond: 0, then: 'stay', persist_ms: null, else: 'ESCALATE' }, ...over,
+  });
+  const near = (id: string, threshold: WatchRule['threshold'], over: Partial<WatchRule['response']>): WatchRule =>
+    rule({ id, signal: 'separation_m', above: false, threshold, for_ms: 0, response: { ...rule({}).response, ...over } });
+  const watching = (...watch: WatchRule[]): Watching => ({ watch, stale_after_ms: { arm: 50 }, separation: null });
+  const waits = { enter: 'PAUSE', clear_after_ms: 1000, clear_beyond: 0.05, then: 'resume', persist_ms: 5000 };
+  const watchedOf = (a: Watching, b: Watching): string[] => differences(STRICT, STRICT, [a, b]).map(({ what, from, to, way }) => `${what} | ${from} | ${to} | ${way}`);
+  const modes = (...named: string[]): ProfileFacts => ({ authority: { modes: named } });
+
   it('says what becomes looser', () => {
     expect(differences(STRICT, LOOSE)).toEqual([
-      { what: 'Tool speed, at most', from: '0.25 m/s', to: '1.50 m/s', looser: true },
-      { what: 'Watcher sensitivity', from: '0.9', to: '0.3', looser: true },
-      { what: 'Asking people', from: 'approval-required', to: 'nobody is asked', looser: true },
+      { what: 'Asking people', from: 'approval-required', to: 'nobody is asked', way: 'looser' },
+      { what: 'Tool speed, at most', from: '0.25 m/s', to: '1.50 m/s', way: 'looser' },
+      { what: 'Watcher sensitivity', from: '0.9', to: '0.3', way: 'looser' },
     ]);
   });
 
   it('calls nothing looser on the way back, and nothing changed to itself', () => {
-    expect(differences(LOOSE, STRICT).some(({ looser }) => looser)).toBe(false);
-    expect(differences(STRICT, STRICT)).toEqual([]);
+    expect(differences(LOOSE, STRICT).some(({ way }) => way !== 'stricter')).toBe(false);
+    expect(differences(STRICT, STRICT, [watching(rule({})), watching(rule({}))])).toEqual([]);
+  });
+
+  it('says first what becomes of people who come near, by whatever name it is watched', () => {
+    const [shared, relaxed] = [watching(rule({}), near('separation', 'protective_separation_m', waits)), watching(rule({}), near('people', 0.5, { enter: 'CONTINUE' }))];
+    const pauses = 'below the protective distance, pauses, goes on 1 s after it is clear by 0.05 m, asks a person after 5 s';
+    expect(differences(STRICT, LOOSE, [shared, relaxed])[0]).toEqual({ what: 'A person too near', from: pauses, to: 'below 0.50 m, only warns', way: 'looser' });
+    expect(differences(LOOSE, STRICT, [relaxed, shared])[0]?.way).toBe('different');
+    expect(watchedOf(shared, watching(rule({})))).toEqual([`A person too near | ${pauses} | not watched | looser`]);
+  });
+
+  it('says which other rules of the watcher differ, and whether they come later', () => {
+    const before = watching(rule({}), rule({ id: 'retries', signal: 'retries', threshold: 'retry_budget', response: { ...rule({}).response, enter: 'ESCALATE' } }), rule({ id: 'grip-force', threshold: { limit: 'grip_force_n', times: 1.05 } }));
+    const after = watching(rule({ threshold: 0.025, for_ms: 0 }), rule({ id: 'retries', signal: 'retries', threshold: 'retry_budget' }), rule({ id: 'grip-force', threshold: { limit: 'grip_force_n', times: 1.01 }, applies_to: ['grasp_object'] }));
+    expect(watchedOf(before, { ...after, stale_after_ms: { arm: 75 } })).toEqual([
+      'Slip | above 0.012 m, for 20 ms | above 0.025 m, at once | looser',
+      'Retries | asks a person | stops | different',
+      'Grip force | above 105 % of its limit, whatever runs | above 101 % of its limit, in Grasp object | looser',
+      'Sensor stale after | arm 50 ms | arm 75 ms | looser',
+    ]);
+    const held = (over: Partial<WatchRule['response']>): Watching => watching(rule({ id: 'stale', response: { ...rule({}).response, ...waits, ...over } }));
+    expect(watchedOf(held({}), held({ else: 'STOP' }))).toEqual(['Sensor stale | asks a person after 5 s | stops after 5 s | different']);
+    expect(watchedOf(after, before).map((line) => line.split(' | ').at(-1))).toEqual(['looser', 'different', 'looser']);
+    expect(watchedOf(watching(), watching(rule({})))).toEqual(['Slip | not watched | above 0.012 m, stops | stricter']);
+  });
+
+  it('says who is asked about which risk, and what people may do no longer', () => {
+    const asks = (...risk: string[]): ProfileFacts => ({ authority: { modes: ['approval-required'], approval: { risk } } });
+    expect(differences(asks('high', 'medium'), asks('high'))).toEqual([{ what: 'Asking people', from: 'approval-required: high, medium risk', to: 'approval-required: high risk', way: 'looser' }]);
+    expect(differences(asks('high'), asks('high', 'medium'))[0]?.way).toBe('stricter');
+    expect(differences(modes('interrupt-enabled', 'takeover-enabled'), modes())).toEqual([
+      { what: 'Taking the controls', from: 'people may', to: 'nobody may', way: 'different' },
+      { what: 'Pausing what runs', from: 'people may', to: 'nobody may', way: 'looser' },
+    ]);
+    const reviewed: ProfileFacts = { authority: { modes: ['review-only'], review: { risk: ['critical'], outcomes: ['taken_over'] } } };
+    expect(differences(reviewed, modes())).toEqual([{ what: 'Review of what is over', from: 'critical risk: taken over', to: 'nothing waits for a verdict', way: 'looser' }]);
   });
 });

@@ -51,6 +51,7 @@ from app.api.documents.server import (
     PolicySetDocument,
     ProblemDocument,
     Readiness,
+    WatchedDocument,
 )
 
 __all__ = [
@@ -99,5 +100,6 @@ __all__ = [
     "VerdictDocument",
     "VerdictGiven",
     "VerificationDocument",
+    "WatchedDocument",
     "WayDocument",
 ]

@@ -40,6 +40,13 @@ class PolicySetDocument(Document):
     site: dict[str, Any]
 
 
+class WatchedDocument(Document):
+    """What each profile of the policy set in force watches, and from when on a sensor is stale."""
+
+    version: str
+    profiles: dict[str, Any]
+
+
 class Health(Document):
     """The process answers; `degraded` where something is broken, and `broken` says what.
 

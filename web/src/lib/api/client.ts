@@ -22,6 +22,7 @@ import type {
   Verification,
   Version,
   VersionList,
+  Watched,
 } from './documents';
 import { Gate } from './gate';
 
@@ -134,6 +135,7 @@ export class Api {
   cells = (): Promise<List<Cell>> => this.get('/v1/cells');
   capabilities = (): Promise<List<Capability>> => this.get('/v1/capabilities');
   policy = (): Promise<PolicySet> => this.get('/v1/policies/active');
+  watched = (): Promise<Watched> => this.get('/v1/policies/active/watch');
   versions = (limit: number): Promise<VersionList> => this.get(`/v1/policies?limit=${limit}`);
   version = (digest: string): Promise<Version> => this.get(`/v1/policies/${seg(digest)}`);
   policyFiles = (digest: string): Promise<{ files: Record<string, string>; promises: string | null }> => this.get(`/v1/policies/${seg(digest)}/files`);

@@ -236,6 +236,24 @@ export interface PolicySet {
   site: Record<string, unknown>;
 }
 
+/** A watch rule as `/v1/policies/active/watch` describes it. */
+export interface WatchRule {
+  id: string;
+  applies_to: string[] | null;
+  signal: string;
+  above: boolean;
+  /** A number in the signal's unit, the name of what is computed, or a limit times a factor. */
+  threshold: number | string | { limit: string; times: number };
+  for_ms: number;
+  response: { enter: string; clear_after_ms: number; clear_beyond: number; then: string; persist_ms: number | null; else: string };
+}
+
+/** What each profile watches. */
+export interface Watched {
+  version: string;
+  profiles: Record<string, { watch: WatchRule[]; stale_after_ms: Record<string, number>; separation: Record<string, number> | null }>;
+}
+
 export interface List<T> {
   items: T[];
   next: string | number | null;
