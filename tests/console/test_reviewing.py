@@ -11,8 +11,8 @@ from urllib.parse import urlsplit
 import pytest
 from playwright.sync_api import Locator, Route, expect
 
-from tests.conftest import ServerProcess, Servers, until
-from tests.console.conftest import PHONE, THREE_FRAMES, Floor, People, Person, far
+from tests.conftest import ServerProcess, Servers, put_in_profile, until
+from tests.console.conftest import PHONE, THREE_FRAMES, Floor, People, Person, box, far
 from tests.console.wire import wire_to
 from tests.test_join import NAME, Hand, online, token_of
 
@@ -265,6 +265,21 @@ def test_of_two_reviewers_one_wins_and_the_other_is_told(
     expect(elsewhere).to_be_focused()  # whatever others do
     expect(one.region("Review")).to_contain_text("Reviewed by operator: inconclusive")
     assert kept(server, stopped)["status"] == "inconclusive"
+
+
+def test_standing_grants_are_revoked_on_a_phone_without_passing_all_that_waits_for_a_verdict(
+    server: ServerProcess, people: People, floor: Floor, stopped: dict[str, Any]
+) -> None:
+    until(floor.unlatched, what="a cell that no stop latches")
+    put_in_profile(server, "human-shared")
+    grant = {"capability": "grasp_object", "agent": "planner", "cell": "workcell-1", "scope": "object", "minutes": 5}
+    given = server.post("/v1/grants", {**grant, "object": "mug_1"})
+    assert given.is_success, given.text
+    person = people.sit(server, size=PHONE)
+    waits = queue(person).get_by_role("button", name=re.compile("Drive to"))
+    assert box(person.button(re.compile("^Revoke the grant")))["y"] < box(waits)["y"]
+    person.tap(person.button(re.compile("^Revoke the grant")))
+    expect(person.page.get_by_text("No standing grants.")).to_be_focused()
 
 
 def test_a_late_answer_closes_its_own_form_and_what_was_written_is_kept(
