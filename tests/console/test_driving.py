@@ -522,6 +522,27 @@ def test_why_the_controls_were_not_given_is_said_as_long_as_it_is_so_and_stays_i
     expect(panel.get_by_role("alert")).to_have_count(0)
 
 
+def test_why_controls_were_refused_goes_when_the_session_they_were_asked_of_is_over_and_not_before_it_was_read(
+    server: ServerProcess, people: People, floor: Floor
+) -> None:
+    session = floor.drive_off()
+    person = people.sit(server)
+    person.press("t")
+    panel = person.region("Drive by hand")
+    problem = {"title": "Conflict", "status": 409, "code": "control_held", "detail": "`operator_2` has the controls"}
+    person.expects("409")
+    person.page.route("**/takeover", lambda route: route.fulfill(status=409, json=problem))
+    person.button("Take the controls").click()
+    refused = panel.get_by_role("alert").filter(has_text="operator_2")
+    expect(refused).to_be_visible()
+    assert server.post(f"/v1/invocations/{session['id']}/cancel").is_success
+    until(lambda: server.cell()["busy"] is None, what="a session that is over")
+    expect(panel).to_contain_text("You get the controls of the idle cell.")
+    person.page.wait_for_timeout(2_000)
+    expect(refused).to_be_visible()
+    expect(refused).to_have_count(0)
+
+
 @pytest.fixture
 def shared_again(server: ServerProcess) -> Iterator[None]:
     yield

@@ -2,7 +2,7 @@ import { describe, expect, it } from 'vitest';
 import type { Escalation, Invocation, LogEvent, Risk } from '../src/lib/api/documents';
 import { gaugesFor, noneOf, readGauge, unfinished, type GaugeSpec } from '../src/lib/live/gauges';
 import { History } from '../src/lib/live/history';
-import { handsOn, holdersOf, inControl, lossOf, pausedWords, pauseEndedOf, pauserOf, refusalWords, restraintsOf, standingLease, unreachedWords } from '../src/lib/live/control';
+import { handsOn, holdersOf, inControl, isPast, lossOf, pausedWords, pauseEndedOf, pauserOf, refusalWords, restraintsOf, standingLease, unreachedWords } from '../src/lib/live/control';
 import { deniedIsUndone, goingOn } from '../src/lib/live/held';
 import { reasonLines } from '../src/lib/live/reasons';
 import { askedOf, stagesOf } from '../src/lib/live/stages';
@@ -247,6 +247,12 @@ describe('the controls of a cell', () => {
     // What was asked for is seen for a moment although it is refused: a refusal that came meanwhile stays.
     const standing = (me: string, lease: string | null): string | null => standingLease(cell({ control }), handsOn(cell({ control }), me, lease));
     expect([standing('ann', null), standing('ann', 'lease_1'), standing('bob', null), standingLease(cell({ control: null }), 'free')]).toEqual([null, 'lease_1', 'lease_1', null]);
+  });
+
+  it('were refused of what is over once its session is, or where none ran, once one does that is nobody’s hand', () => {
+    const over = (ran: string | null, busy: string | null, by: typeof control | null = null): boolean => isPast(ran, cell({ busy, control: by }));
+    expect([over('inv_1', 'inv_1'), over('inv_1', 'inv_1', control), over(null, null), over(null, 'inv_2', control)]).toEqual([false, false, false, false]);
+    expect([over('inv_1', null), over('inv_1', 'inv_2'), over('inv_1', 'inv_2', control), over(null, 'inv_2')]).toEqual([true, true, true, true]);
   });
 
   it('are lost where the log says so of their lease', () => {

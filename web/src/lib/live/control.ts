@@ -58,6 +58,11 @@ export function standingLease(cell: Cell | null, hands: Hands): string | null {
   return hands === 'elsewhere' ? null : (cell?.control?.lease ?? null);
 }
 
+/** Whether what a refusal was said of is over: the session that ran then, or, where none did, the cell that was idle. */
+export function isPast(ran: string | null, { busy, control }: Pick<Cell, 'busy' | 'control'>): boolean {
+  return busy !== ran && (ran !== null || control == null);
+}
+
 /** Why nothing that is pressed reaches the robot, in words; null where it may be taken that it does. */
 export function unreachedWords({ live, cell }: { live: boolean; cell: Pick<Cell, 'id' | 'online'> | null }): string | null {
   if (!live) return 'the link is down or too slow';
