@@ -543,6 +543,25 @@ def test_why_controls_were_refused_goes_when_the_session_they_were_asked_of_is_o
     expect(refused).to_have_count(0)
 
 
+def test_whoever_signs_out_with_the_controls_is_told_what_becomes_of_them_and_who_loads_the_page_anew_keeps_them(
+    server: ServerProcess, people: People, floor: Floor, free_again: None
+) -> None:
+    session = floor.drive_off()
+    person = people.sit(server)
+    person.press("t")
+    person.button("Take the controls").click()
+    expect(person.page.get_by_text(LET_GO)).to_be_visible()
+    person.page.reload()
+    expect(person.page.get_by_text(LET_GO)).to_be_visible()
+    told = person.page.get_by_text("You had the controls of workcell-1")
+    expect(told).to_have_count(0)
+    person.press("?")
+    person.page.get_by_role("button", name="Sign out", exact=True).click()
+    expect(told).to_contain_text("the robot comes to rest, and a session that you took over waits for a person.")
+    until(lambda: server.cell()["control"] is None, what="controls that nobody has")
+    assert server.get(f"/v1/invocations/{session['id']}")["status"] == "escalated"
+
+
 @pytest.fixture
 def shared_again(server: ServerProcess) -> Iterator[None]:
     yield
