@@ -25,7 +25,6 @@ from tests.console.conftest import (
     slide,
     stop,
 )
-from tests.console.test_deciding import give
 
 pytestmark = [pytest.mark.browser, pytest.mark.process]
 RING_PX = 4  # around what has the focus
@@ -221,23 +220,6 @@ def test_no_finger_approves_a_question_that_is_out_of_sight(
     expect(approve).to_be_enabled()
     approve.tap()
     assert floor.settled(asked["id"])["status"] in {"running", "completed"}
-
-
-def test_whoever_revokes_the_last_grant_stays_where_they_were_on_the_page(
-    server: ServerProcess, people: People, floor: Floor
-) -> None:
-    give(server, "mug_1", 1)
-    person = people.sit(server, size=PHONE)
-    revoke = person.button(re.compile("^Revoke"))
-    page = person.page.locator("main")
-    revoke.evaluate("(button) => button.scrollIntoView({ block: 'start' })")
-    down = page.evaluate("(main) => main.scrollTop")
-    assert down > 0
-    person.tap(revoke)
-    expect(revoke).to_have_count(0)
-    expect(person.page.get_by_text("No standing grants.")).to_be_focused()
-    person.page.evaluate(THREE_FRAMES)
-    assert page.evaluate("(main) => main.scrollTop") == pytest.approx(down, abs=2)
 
 
 def test_on_a_phone_held_sideways_what_is_done_to_a_session_is_within_reach(
