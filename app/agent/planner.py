@@ -241,7 +241,7 @@ _BY_REPAIR: tuple[tuple[_Repairer, str], ...] = (
         "cell_busy cell_offline conditions_changed sensors_fresh sensor_fault arm_ready arm_retracted blocked no_path",
     ),
     (_wait, "too_many_waiting grant_ended"),
-    (_wait, "journal_unavailable holding"),  # a cell that lost its link launched nothing: once it is back, again
+    (_wait, "journal_unavailable holding used"),  # such a cell launched nothing: once it is back, again
     (_look_again, "object_visible area_inspected object_not_found grasp_failed perception_mismatch contact"),
     (_go_there, "object_reachable surface_reachable tool_reachable area_in_view unreachable"),
     (_start_over, "gripper_empty carrying object_secured object_placed at_target tool_actuated"),
