@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
 from itertools import product
 
 import pytest
@@ -222,18 +223,25 @@ def test_the_controls_are_neither_taken_by_a_double_press_on_what_offers_them_no
         expect(take).to_have_count(0)
 
 
+@pytest.fixture
+def granted(server: ServerProcess) -> Iterator[str]:
+    """A standing grant for whatever is grasped, of which nothing is left behind."""
+    body = {"capability": "grasp_object", "agent": "planner", "cell": "workcell-1", "scope": "time", "minutes": 5}
+    given = server.post("/v1/grants", body, key="operator_2").json()["id"]
+    yield given
+    server.post(f"/v1/grants/{given}/revoke", key="operator_2")
+
+
 @pytest.mark.parametrize("after_ms", SOON_MS)
 def test_handing_back_approves_nothing_before_there_was_time_to_read_what(
-    server: ServerProcess, people: People, floor: Floor, after_ms: int
+    server: ServerProcess, people: People, floor: Floor, granted: str, after_ms: int
 ) -> None:
-    body = {"capability": "grasp_object", "agent": "planner", "cell": "workcell-1", "scope": "time", "minutes": 5}
-    given = server.post("/v1/grants", body, key="operator_2").json()
     session = floor.grasp_slowly()
     person = people.sit(server)
     person.expects("409.*/release")
     offered(person, DESK).click()
     expect(person.page.get_by_text(LET_GO)).to_be_visible()
-    assert server.post(f"/v1/grants/{given['id']}/revoke", key="operator_2").is_success
+    assert server.post(f"/v1/grants/{granted}/revoke", key="operator_2").is_success
     back, released = person.button("Agent goes on"), listed(person, "/release")
     person.twice(back, after_ms)
     expect(person.alert("Medium risk needs approval in human-shared.")).to_be_visible()
@@ -245,16 +253,14 @@ def test_handing_back_approves_nothing_before_there_was_time_to_read_what(
 
 
 def test_handing_back_approves_nothing_where_the_refusal_that_told_what_was_lost(
-    server: ServerProcess, people: People, floor: Floor
+    server: ServerProcess, people: People, floor: Floor, granted: str
 ) -> None:
-    body = {"capability": "grasp_object", "agent": "planner", "cell": "workcell-1", "scope": "time", "minutes": 5}
-    given = server.post("/v1/grants", body, key="operator_2").json()
     session = floor.grasp_slowly()
     person = people.sit(server)
     person.expects("409.*/release|ERR_FAILED")
     offered(person, DESK).click()
     expect(person.page.get_by_text(LET_GO)).to_be_visible()
-    assert server.post(f"/v1/grants/{given['id']}/revoke", key="operator_2").is_success
+    assert server.post(f"/v1/grants/{granted}/revoke", key="operator_2").is_success
     back = person.button("Agent goes on")
     answers: list[int] = []
 
