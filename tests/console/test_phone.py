@@ -155,6 +155,32 @@ def readable(row: Locator) -> bool:
     )
 
 
+def test_what_a_profile_changes_is_read_from_its_top_with_the_answers_in_sight(
+    server: ServerProcess, people: People
+) -> None:
+    person = people.sit(server, size=PHONE)
+    person.page.evaluate("location.hash = '#/fleet'")
+    card = person.region("workcell-1")
+    card.get_by_label("Profile", exact=True).select_option("sim-relaxed")
+    card.get_by_role("button", name="Change…").tap()
+    keep, yes = (card.get_by_role("button", name=name) for name in ("Keep human-shared", "Yes, change it"))
+    expect(keep).to_be_focused()
+    expect(card.get_by_text("Put workcell-1 under sim-relaxed?")).to_be_in_viewport(ratio=1)
+    rows = card.get_by_role("group", name="What changes").get_by_role("row")
+    first, last = rows.nth(1), rows.last
+    expect(first).to_be_in_viewport(ratio=1)
+    assert on_top(first)
+    assert not on_top(last)  # there is more than the page shows
+    for answer in (keep, yes):
+        expect(answer).to_be_in_viewport(ratio=1)
+        assert on_top(answer)
+    last.scroll_into_view_if_needed()
+    assert on_top(last)
+    expect(yes).to_be_in_viewport(ratio=1)
+    keep.tap()
+    expect(keep).to_have_count(0)
+
+
 @pytest.mark.parametrize("size", [PHONE, SIDEWAYS], ids=["upright", "sideways"])
 def test_approve_is_offered_once_every_line_was_in_sight(
     server: ServerProcess, people: People, floor: Floor, size: dict[str, int]
