@@ -62,6 +62,7 @@ def test_every_command_explains_itself(command: str) -> None:
 
 def test_says_its_version() -> None:
     assert __version__ in run("version")[1]
+    assert run("--version") == run("version")
 
 
 @pytest.mark.process
