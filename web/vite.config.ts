@@ -2,12 +2,13 @@ import { fileURLToPath } from 'node:url';
 import { svelte } from '@sveltejs/vite-plugin-svelte';
 import { defineConfig } from 'vitest/config';
 import { compressed } from './compressed.ts';
+import { leanFonts } from './fonts.ts';
 import { withoutAnimation } from './lean.ts';
 
 const server = process.env['REINS_SERVER'] ?? 'http://127.0.0.1:8000';
 
 export default defineConfig({
-  plugins: [svelte(), withoutAnimation(), compressed()],
+  plugins: [svelte(), withoutAnimation(), leanFonts(), compressed()],
   build: {
     outDir: fileURLToPath(new URL('../app/console', import.meta.url)),
     emptyOutDir: true,
@@ -16,6 +17,7 @@ export default defineConfig({
     modulePreload: { polyfill: false },
     assetsInlineLimit: 0, // a data: address would need a wider content security policy
     chunkSizeWarningLimit: 1000,
+    rolldownOptions: { checks: { bundlerTimings: false } }, // which of its parts took how long is nothing whoever sets up has to read
   },
   worker: { format: 'es', rolldownOptions: { output: { entryFileNames: 'assets/worker-[hash].js' } } }, // a name that the server sends its own policy with
   server: { proxy: { '/v1': { target: server, ws: true, changeOrigin: true } } },
