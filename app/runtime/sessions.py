@@ -448,11 +448,15 @@ def _last_word(known: Invocation, events: Sequence[Event]) -> dict[str, Any] | N
 
 
 def _words(events: Sequence[Event]) -> list[str]:
-    """Return the words that were said to a session, but for the end of a takeover that was over when it was heard."""
+    """Return the words that were said to a session, but for the end of a takeover that was over when it was heard.
+
+    An emergency stop of its cell is a stop of the session that it met, also where it was reset since.
+    """
     said: list[str] = []
     for event in events:
         body = event.payload() if event.kind == EventKind.HUMAN else {}
         word = END_TAKEOVER if body.get("then") == "end" else str(body.get("op"))
+        word = "stop" if word == "estop" else word
         if word == END_TAKEOVER and body.get("refused") == "not_taken_over":
             said = [earlier for earlier in said if earlier != END_TAKEOVER]
         else:

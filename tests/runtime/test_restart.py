@@ -488,6 +488,33 @@ async def test_a_stop_that_a_cell_latched_by_itself_outlives_its_folder_while_th
         assert not runtime.governor.cells()[0]["latched"]
 
 
+@pytest.mark.parametrize("restarts", [False, True])
+async def test_a_session_that_a_stop_met_ends_by_it_also_where_the_cell_heard_neither_that_nor_its_reset(
+    house: House, monkeypatch: pytest.MonkeyPatch, restarts: bool
+) -> None:
+    monkeypatch.setattr(fleet_module, "RESET_S", 0.05)
+
+    async def returns(server: Runtime) -> None:
+        back = await HandCell(server, seq=cell.seq, invocation=name, status="escalated").dial()
+        await back.state()
+        await until(lambda: not server.fleet.cell(CELL).behind)
+        assert (back.all("estop"), back.ops()) == ([], ["stop"])
+
+    async with house.open() as first:
+        cell = await HandCell(first, obeys=False).dial()
+        await cell.state()
+        document, _ = await first.governor.propose(AGENT, navigate())
+        await cell.launched(name := document["id"])
+        await first.governor.estop(CELL, OPERATOR)
+        assert (await first.governor.reset(CELL, OPERATOR))["latched"]
+        await cell.hang_up()
+        if not restarts:
+            await returns(first)
+    if restarts:
+        async with house.open() as second:
+            await returns(second)
+
+
 async def test_a_stop_that_was_recorded_after_its_reset_was_said_before_it(house: House) -> None:
     async with house.open() as first:
         cell = await HandCell(first).dial()
