@@ -258,9 +258,13 @@ class Cell:
         elif what == "reset":
             self.itself, self.unheard = False, None
 
-    def forgetful(self, journal: str) -> bool:
-        """Say whether a cell that is back with this journal cannot know of a stop any more that it may have had."""
-        return self.unheard not in {None, journal} or (self.itself and self.journal != journal)
+    def forgetful(self, journal: str, last_seq: int) -> bool:
+        """Say whether a cell that is back with this journal cannot know of a stop any more that it may have had.
+
+        It is another journal, or an older copy of the one it had, which ends before what the log holds of it.
+        """
+        lost = journal != self.journal or last_seq < self.up_seq
+        return self.unheard not in {None, journal} or (self.itself and lost)
 
     def lifted(self, since: int) -> None:
         """Note that the session goes on by the word of somebody who knew of the restraints up to that number."""

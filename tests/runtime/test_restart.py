@@ -472,13 +472,19 @@ async def test_a_stop_whose_reset_was_not_heard_is_left_where_its_cell_says_so_w
         assert not (await second.store.ask(latches))[CELL].latched
 
 
-async def test_a_stop_that_a_cell_latched_by_itself_outlives_its_folder_while_the_server_runs(house: House) -> None:
+@pytest.mark.parametrize("back", [("jrn-2", 0), ("jrn-1", 1)], ids=["made anew", "an older copy"])
+async def test_a_stop_that_a_cell_latched_by_itself_outlives_its_folder_while_the_server_runs(
+    house: House, back: tuple[str, int]
+) -> None:
+    journal, seq = back
     async with house.open() as runtime:
         cell = await HandCell(runtime, latched=True).dial()
+        await cell.report("cell", what="news", detail="")
         await cell.report("cell", what="estop", detail="")
         await cell.hang_up()
-        again = await HandCell(runtime, journal="jrn-2").dial()
+        again = await HandCell(runtime, journal=journal, seq=seq).dial()
         await again.expect("estop")
+        again.seq = max(again.seq, runtime.fleet.cell(CELL).up_seq)  # what it says since is numbered behind the log
         await again.report("cell", what="estop", detail="")
         await runtime.governor.reset(CELL, OPERATOR)
         await again.report("cell", what="reset", detail="")
