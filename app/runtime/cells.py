@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
     from app.governance.control import Control
+    from app.governance.model import Proposal
+    from app.governance.policy import PolicySet
     from app.protocol import Hello, Human, Message, State
 
 FRESH_S: Final = 1.0  # a state older than this says nothing
@@ -103,6 +105,17 @@ class Arming:
     until_s: float
 
 
+class Hands(NamedTuple):
+    """How a session is driven by hand: under which policy that was decided, and what, with its effective limits.
+
+    `compared` is the policy that was in force when it was last asked whether that may go on.
+    """
+
+    policy: PolicySet
+    proposal: Proposal
+    compared: PolicySet
+
+
 class Told(NamedTuple):
     """That a hand-back was refused for what policy has people asked about from there, and which event says so."""
 
@@ -158,6 +171,7 @@ class Cell:
     unreconciled: Reunion | None = None
     control: Control | None = None  # who drives it by hand
     control_at: str = ""  # since when, by the wall clock
+    hands: Hands | None = None  # how, where it is a session that was taken over; as it was the last time
     told_of: Told | None = None  # the newest: who has seen it approves that by the same word
     unrecorded: str = ""  # the lease by which it is being taken from somebody: it moves nothing yet
     arming: Arming | None = None  # the first of the two steps out of a latched stop

@@ -15,10 +15,12 @@ from typing import TYPE_CHECKING, Any, Final
 from app.audit.event import EventDraft
 from app.clock import monotonic_s
 from app.governance.authority import refusal
+from app.governance.continuing import departure
 from app.governance.control import TAKEOVER, Claim, Control, Taking, Where, command, take
 from app.governance.model import SESSION, AuthorityMode, EventKind, Proposal, Role, Status, Wish
 from app.governance.plans import watch_plan
 from app.protocol import Jog
+from app.runtime.cells import Hands
 from app.runtime.drafts import SERVER
 from app.runtime.errors import Conflict
 from app.runtime.handback import Handbacks
@@ -30,6 +32,7 @@ from app.runtime.uncut import uncut
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from app.governance.model import Reason
     from app.runtime.cells import Cell, Moment
     from app.runtime.invocation import Principal
     from app.runtime.kernel import Judgement
@@ -212,7 +215,9 @@ class Takeovers(Handbacks):
             proposal = Proposal(capability=TAKEOVER, params=params)
             judgement = self.kernel.judge(proposal, None, cell, within=present)
             _held_to(judgement)
-            driving = replace(present, capability=TAKEOVER, effective=judgement.effective(params))
+            limits = judgement.effective(params)
+            driving = replace(present, capability=TAKEOVER, effective=limits)
+            cell.hands = Hands(judgement.policy, Proposal(capability=TAKEOVER, params=limits), judgement.policy)
             async with self.kernel.launch(driving, judgement, anew=decided) as launch:
                 now, permit = self.register.now(), launch.invocation.terms.authorization
                 terms = replace(present.terms, taking=True, authorization=permit)
@@ -340,20 +345,30 @@ class Takeovers(Handbacks):
             control = cell.control
             if control is None:
                 continue
-            why = {"op": "control_lapsed"} if control.lapsed(now_s) else self._not_allowed(control)
+            why = {"op": "control_lapsed"} if control.lapsed(now_s) else self._not_allowed(cell, control)
             if why is not None:
                 self.fleet.loosen(cell, SERVER)
                 body = {**why, "cell": cell.id, "holder": control.holder, "lease": control.lease}
                 said.append(EventDraft(kind=EventKind.HUMAN, actor=SERVER, invocation=control.invocation, body=body))
         return said
 
-    def _not_allowed(self, control: Control) -> dict[str, Any] | None:
+    def _not_allowed(self, cell: Cell, control: Control) -> dict[str, Any] | None:
         """Return why the policy in force lets nobody drive what is driven; what is not recorded yet is asked there."""
         driven = self.register.newest(control.invocation)
         if driven is None or (driven.takeover or {}).get("state") not in OPEN:
             return None
         refused = refusal(self.kernel.policy, driven.profile, AuthorityMode.TAKEOVER_ENABLED)
-        return None if refused is None else {"op": "control_withdrawn", "reasons": reasons_document((refused,))}
+        reasons = self._bound_otherwise(cell, driven) if refused is None else (refused,)
+        return {"op": "control_withdrawn", "reasons": reasons_document(reasons)} if reasons else None
+
+    def _bound_otherwise(self, cell: Cell, driven: Invocation) -> tuple[Reason, ...]:
+        """Return what policy has by now against how a session is driven; that of an idle cell is a session itself."""
+        hands, policy = cell.hands, self.kernel.policy
+        if hands is None or hands.compared is policy or driven.capability == TAKEOVER:
+            return ()
+        cell.hands = hands._replace(compared=policy)
+        context = self.kernel.context(TAKEOVER, driven.agent, driven)
+        return departure(hands.policy, policy, hands.proposal, context).reasons
 
 
 def _theirs(cell: Cell, document: dict[str, Any]) -> dict[str, Any]:

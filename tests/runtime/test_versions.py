@@ -869,6 +869,30 @@ async def test_whoever_drives_has_the_controls_no_longer_once_a_policy_is_in_for
     assert [why["code"] for why in said[0]["reasons"]] == ["takeover_not_enabled"]
 
 
+NO_HAND = "  - {id: no-hand, applies_to: [takeover], then: deny, because: Nobody drives here.}\n"
+SLOW_HAND = (
+    "  - {id: slow-hand, applies_to: [takeover], then: modify, set: {tcp_speed_mps: {max: 0.05}}, because: Slow.}\n"
+)
+
+
+@pytest.mark.parametrize(
+    ("rule", "said"), [(NO_HAND, "organization/no-hand"), (SLOW_HAND, "organization/slow-hand"), ("", None)]
+)
+async def test_whoever_drives_a_session_is_held_to_what_another_policy_says_of_driving_as_on_an_idle_cell(
+    runtime: Runtime, cell: HandCell, rule: str, said: str | None
+) -> None:
+    made = await running(runtime, cell)
+    lease = (await runtime.governor.take_over(made["id"], OPERATOR))["lease"]
+    await cell.report("launch", made["id"], capability="takeover")
+    await put_in_force(runtime, edited(ORGANIZATION, "rules:\n", f"rules:\n{rule}") if rule else BLUNTER)
+    for _ in range(2):  # one look is enough, and a second one finds nothing else
+        runtime.governor.loosen_hands()
+    driven = runtime.fleet.cell(cell.id).control
+    assert (None if driven is None else driven.lease) == (lease if said is None else None)
+    if said is not None:
+        await until(lambda: cell.ops() == ["let_go"])
+
+
 async def test_what_is_bound_anew_under_a_policy_that_gives_way_meanwhile_is_held(
     runtime: Runtime, cell: HandCell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
