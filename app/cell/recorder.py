@@ -131,6 +131,8 @@ class Recorder:
             if self._unsynced:  # an emergency stop may be among it, of which the server has not heard
                 self.sync()
             try:
+                if self.fault:  # what was refused may not be in line, and no look at the disk tells of a quota
+                    self._journal.mark({})
                 self._journal.require_room()
             except JournalUnavailable as error:
                 self.fault = str(error)

@@ -128,6 +128,18 @@ def test_a_latch_that_could_not_be_recorded_is_on_the_disk_once_it_is(
     assert len(synced) == syncs, "a cell at rest leaves its disk alone"
 
 
+def test_why_a_stop_cannot_be_left_is_said_for_as_long_as_nothing_can_be_written(rig: Rig) -> None:
+    rig.runner.estop("anyone")
+    with full(rig.journal):
+        assert rig.runner.reset("operator") == "journal_unavailable"
+        for _ in range(3):
+            rig.ticks(CATCHING_UP)
+            assert "File too large" in rig.runner.view().fault, "there is room on the disk, but none for this file"
+    rig.ticks(CATCHING_UP)
+    assert (rig.runner.view().fault, rig.runner.reset("operator")) == ("", None)
+    assert not after_a_restart(rig).marks.get("latched")
+
+
 def test_a_latch_holds_though_the_disk_does_not_take_it_and_that_is_said(
     rig: Rig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
