@@ -137,9 +137,10 @@ class Answer:
             **asking,
         )
         need = judgement.need
-        if effective == filled and (need is None or not _unsaid(need, self._escalation)):
+        if effective == filled and self._shown() and (need is None or not _unsaid(need, self._escalation)):
             return await self._count(edited, judgement)
-        # Policy constrained the edit further, or has people asked about more: nobody has seen that, so nobody approved.
+        # Policy constrained the edit further, or has people asked about more, or it is about another object by now:
+        # nobody has seen that, so nobody approved.
         await self._commit_pending(edited, "edit")
         return edited
 
@@ -148,9 +149,12 @@ class Answer:
 
     def _outlived(self, need: ApprovalNeed | None) -> bool:
         """Say whether a question does not say what people would be asked by now, or was about another object."""
+        return (need is not None and _unsaid(need, self._escalation)) or not self._shown()
+
+    def _shown(self) -> bool:
+        """Say whether a question was asked about the object that is handled by now."""
         present = self._escalation
-        unsaid = need is not None and _unsaid(need, present)
-        return unsaid or present.digest != self._bound(present.effective, present.reasons)
+        return present.digest == self._bound(present.effective, present.reasons)
 
     def _asked_for(self, judgement: Judgement) -> dict[str, Any]:
         """Return how many people authority wants now, and why; never fewer than it wanted when it asked first."""

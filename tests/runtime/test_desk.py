@@ -621,6 +621,18 @@ async def test_an_approval_of_one_load_is_none_of_another(
     assert len(cell.all("launch")) == 1
 
 
+async def test_an_edit_of_what_policy_would_cut_by_now_approves_no_other_load(runtime: Runtime, cell: HandCell) -> None:
+    await holding(cell, "mug_1")
+    carry = ProposalRequest(capability="transport_object", params={"target": "dock"})
+    _, question = await asked(runtime, carry)
+    await holding(cell, "glass_1")  # fragile: what was asked about is faster than policy lets it be carried
+    edited = await answer(runtime, question, params={"speed_mps": 0.1})
+    assert (edited["status"], edited["approvals"], cell.all("launch")) == ("pending", [], [])
+    assert await refusal(runtime, question, who=OPERATOR_2) == "digest_mismatch"
+    assert (await answer(runtime, edited))["status"] == "approved"
+    assert len(cell.all("launch")) == 1
+
+
 async def test_an_edit_that_policy_asks_more_about_is_asked_about_before_it_counts(
     runtime: Runtime, cell: HandCell
 ) -> None:
