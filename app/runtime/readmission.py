@@ -47,15 +47,16 @@ class Readmission:
 async def readmitted(desk: Questions, cell: Cell, present: Invocation, principal: Principal) -> Readmission:
     """Decide again on what a session does, from where the robot is now.
 
-    Whoever approved its launch and may approve nothing any more is none of them, nor is a grant that has ended. It is a
-    new authorization, and none is given under a profile that its cell has left.
+    Whoever approved its launch and may approve nothing any more is none of them, nor is a grant that it was launched
+    by: one that answers by now is found again. It is a new authorization, and none is given under a profile that its
+    cell has left.
 
     Raises:
         Conflict: `resume_refused`, with the reasons.
     """
     # First: nothing is awaited between the decision and the launch.
     said, shown = await _approvals(desk, present)
-    approvals = tuple(name for name in said if _counts(desk, name))
+    approvals = tuple(name for name in said if desk.grants.may_give(name))
     effective = dict(present.effective or {})
     judgement = desk.kernel.judge(present.proposal(effective), present.agent, cell, within=present)
     if cell.profile != present.profile:
@@ -64,15 +65,15 @@ async def readmitted(desk: Questions, cell: Cell, present: Invocation, principal
         raise _refused("policy does not let it go on from here", judgement.reasons())
     unasked = judgement.need
     if unasked is not None:
-        # Those who were asked about all of it, in these words; a grant may be of one of them.
-        asked = approvals if {(why.rule, why.code, why.message) for why in unasked.reasons} <= shown else ()
-        approvals, people = asked, {name for name in asked if not name.startswith(GRANTED)} - {present.agent}
+        # Those who were asked about all of it, in these words.
+        approvals = approvals if {(why.rule, why.code, why.message) for why in unasked.reasons} <= shown else ()
+        people = set(approvals) - {present.agent}
         if len(people | {principal.name} - {present.agent}) < unasked.approvers:
             # Nobody else is asked, whatever policy advises.
             left = "roll it back, or end it" if cell.driven(present.id) else "deny it"
             raise _refused("it takes more approvals from here", [why._replace(remedy=left) for why in unasked.reasons])
         unasked = None if len(people) >= unasked.approvers else unasked
-    approvals = (*approvals, *(name for name in judgement.by_grant if name not in approvals))
+    approvals = (*approvals, *judgement.by_grant)
     if principal.name not in (*approvals, present.agent):
         approvals = (*approvals, principal.name)
     return Readmission(by=principal.name, judgement=judgement, approvals=approvals, unasked=unasked)
@@ -133,16 +134,10 @@ def _gave_way(cell: Cell, present: Invocation) -> Reason:
     return Reason(RULE, PROFILE_CHANGED, message, "roll it back or end it, and propose it again")
 
 
-def _counts(desk: Questions, name: str) -> bool:
-    if name.startswith(GRANTED):
-        return desk.grants.stands(name.removeprefix(GRANTED))
-    return desk.grants.may_give(name)
-
-
 async def _approvals(desk: Questions, present: Invocation) -> tuple[tuple[str, ...], frozenset[tuple[str, str, str]]]:
     """Return who approved the session when it was launched, and by which rules, codes and words they were asked.
 
-    By none of them where the gripper held something else then, and that is what is handled.
+    Nobody, where the gripper held something else then, and that is what is handled. A grant is no person.
     """
     events = desk.register.store.events
     launched = await events(invocation=present.id, kind=EventKind.AUTHORIZATION, limit=1)
@@ -151,8 +146,11 @@ async def _approvals(desk: Questions, present: Invocation) -> tuple[tuple[str, .
     permit = cast("dict[str, list[str]]", launched[0].payload()["authorization"])
     answers = await events(invocation=present.id, kind=EventKind.APPROVAL, before=launched[0].seq, newest=True, limit=1)
     asked = cast("list[dict[str, Any]]", [answer.payload()["escalation"] for answer in answers])
-    reasons = [why for question in asked if _same(desk, present, question) for why in question["reasons"]]
-    return tuple(permit["approvals"]), frozenset((why["rule"], why["code"], why["message"]) for why in reasons)
+    if not all(_same(desk, present, question) for question in asked):
+        return (), frozenset()
+    people = tuple(name for name in permit["approvals"] if not name.startswith(GRANTED))
+    reasons = [why for question in asked for why in question["reasons"]]
+    return people, frozenset((why["rule"], why["code"], why["message"]) for why in reasons)
 
 
 def _same(desk: Questions, present: Invocation, question: Mapping[str, Any]) -> bool:

@@ -357,6 +357,30 @@ async def test_who_approved_one_load_is_nobody_of_those_who_let_another_go_on(ru
     assert permit(cell)["approvals"] == [OPERATOR_2.name, OPERATOR.name]
 
 
+@pytest.mark.parametrize("by", ["grant", "approval"])
+async def test_who_approved_one_load_is_not_named_where_a_grant_answers_for_another(
+    runtime: Runtime, cell: HandCell, by: str
+) -> None:
+    carries = replace(MUGS, capability="transport_object", scope=GrantScope.OBJECT, object="driver_1")
+    if by == "grant":
+        given = await runtime.desk.grants.give(OPERATOR, carries)
+        await runtime.desk.grants.give(OPERATOR_2, replace(carries, object="mug_1"))
+        await holding(cell, "mug_1")
+        made, _ = await runtime.governor.propose(
+            AGENT, ProposalRequest(capability="transport_object", params={"target": "dock"})
+        )
+        session = made["id"]
+        await cell.expect("launch")
+        await cell.launched(session)
+        await taken(runtime, cell, session)
+    else:
+        session = await carrying(runtime, cell, "mug_1")
+        given = await runtime.desk.grants.give(OPERATOR, carries)
+    await holding(cell, "driver_1")
+    await handed_back(runtime, cell, session)
+    assert permit(cell)["approvals"] == [f"grant:{given['id']}", OPERATOR.name]
+
+
 async def test_what_a_refused_hand_back_told_of_one_load_approves_none_of_another(
     runtime: Runtime, cell: HandCell
 ) -> None:
