@@ -238,7 +238,7 @@ def _questions(router: APIRouter) -> None:
         router,
         "POST /v1/escalations/{id}/acknowledge",
         acknowledge,
-        Answers(model=question, codes=("escalation_unknown", *late)),
+        Answers(model=question, codes=("escalation_unknown", *late, "profile_changed")),
         body=EmptyBody,
     )
 

@@ -234,7 +234,7 @@ class Desk(Questions):
 
         Raises:
             NotFound: no such question.
-            Conflict: `already_resolved`, `escalation_expired`.
+            Conflict: `already_resolved`, `escalation_expired`; `profile_changed`, by which it was withdrawn.
             RecordUnavailable: nothing was recorded.
         """
         entry = await self._open(escalation_id)

@@ -95,6 +95,17 @@ async def test_one_operator_sees_that_another_looks_at_it(shared_house: House) -
         assert (late.status_code, late.json()["code"]) == (409, "already_resolved")
 
 
+async def test_who_looks_at_what_a_change_of_profile_withdrew_is_told_so(shared_house: House) -> None:
+    async with shared_house.cell(), shared_house.client("operator") as one, shared_house.client("engineer") as engineer:
+        question = await ask(shared_house)
+        try:
+            assert (await engineer.put(f"/v1/cells/{CELL}/profile", json={"profile": "sim-relaxed"})).status_code == 200
+            late = await one.post(f"/v1/escalations/{question['id']}/acknowledge")
+            assert (late.status_code, late.json()["code"]) == (409, "profile_changed")
+        finally:
+            await engineer.put(f"/v1/cells/{CELL}/profile", json={"profile": "human-shared"})
+
+
 async def test_what_waits_for_approval_is_stopped_for_good(shared_house: House) -> None:
     house = shared_house
     async with house.cell() as cell, house.client() as agent, house.client("operator") as operator:
