@@ -29,7 +29,7 @@ from app.config import CELL_ID, VALID_CELL_ID
 from app.disk import write_private
 from app.governance.model import Role
 from app.governance.policy_model import GOVERNANCE
-from app.runtime.drafts import SERVER
+from app.runtime.drafts import GRANTED, SERVER
 from app.runtime.invocation import Principal
 
 if TYPE_CHECKING:
@@ -247,7 +247,8 @@ def issue_token(
 
     Raises:
         ValueError: an empty name, or one with control characters or blanks around it; one that the record uses for a
-            machine, or for somebody of another role; one that reads like another's; a station that names no cell.
+            machine, or for somebody of another role; one that reads like another's, or like a standing grant's; a
+            station that names no cell.
         PrincipalsUnreadable: the file is not in its form.
         RecordDamaged: the record cannot be read, so that nobody knows which cells there are.
         OSError: the directory cannot be read or written, or no server has made it.
@@ -258,6 +259,8 @@ def issue_token(
         )
     if role is not Role.CELL and as_read(name) in map(as_read, _machines(data_dir)):
         raise ValueError(f"`{name}` is what the record calls a machine: valid is another name")
+    if as_read(name).startswith(GRANTED):  # of who approved a launch, the record could not tell which it was
+        raise ValueError(f"`{name}` is what the record calls a standing grant: valid is another name")
     if station is not None and CELL_ID.fullmatch(station) is None:  # who stands there would be taken for remote
         raise ValueError(f"the station `{station}` is no name of a cell: valid are {VALID_CELL_ID}")
     token = _new_token(role)

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from app.runtime.review import Review
 
 SERVER: Final = "server"
+GRANTED: Final = "grant:"  # what a grant is called among those who approved; no person's name begins so
 ACKNOWLEDGE: Final = "acknowledge"  # somebody looks at a question; decides nothing
 VOID: Final = "void"  # approvals count no more
 EDIT: Final = "authority/edit"

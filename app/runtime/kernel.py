@@ -42,7 +42,7 @@ from app.governance.recorded import ANEW, circumstances
 from app.governance.recorded import KEY as CIRCUMSTANCES
 from app.protocol import Launch
 from app.runtime.cells import Moment
-from app.runtime.drafts import SERVER
+from app.runtime.drafts import GRANTED, SERVER
 from app.runtime.errors import Conflict, InvalidParams
 from app.runtime.grant import GrantEnded
 from app.runtime.identity import Identities
@@ -63,7 +63,6 @@ if TYPE_CHECKING:
 
 ON_DUTY_S: Final = 120.0  # an operator who was heard within this is on duty
 LAUNCH_WITHIN_S: Final = 10.0  # a permit not bound by then is worth nothing
-GRANTED: Final = "grant:"  # what a grant is called among those who approved; no person's name holds a colon
 REFUSED_OUTCOME: Final[Mapping[Status, Outcome]] = {
     Status.REJECTED: Outcome.REJECTED,
     Status.DEFERRED: Outcome.DEFERRED,

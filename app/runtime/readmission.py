@@ -8,12 +8,11 @@ from typing import TYPE_CHECKING, Any, Final, cast
 from app.audit.event import EventDraft
 from app.governance.model import EventKind, Reason
 from app.runtime.cells import Told
-from app.runtime.drafts import SERVER
+from app.runtime.drafts import GRANTED, SERVER
 from app.runtime.errors import Conflict
 from app.runtime.escalation import PROFILE_CHANGED
 from app.runtime.hands import LAPSED
 from app.runtime.invocation import reasons_document
-from app.runtime.kernel import GRANTED
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

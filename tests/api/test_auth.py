@@ -222,6 +222,8 @@ def test_refuses_to_issue_a_token_for_no_name(tmp_path: Path, name: str) -> None
         ("Governance", "a machine"),
         ("workcell-7", "a machine"),
         ("WorkCell-7", "a machine"),
+        ("grant:gr_01M8KMFVGCZ1DEF8SQW28MZC6R", "a standing grant"),
+        ("Grant: lena", "a standing grant"),
         ("operator", "the role `operator` already"),
         ("Operator", "reads like `operator`"),
         ("\N{FULLWIDTH LATIN SMALL LETTER O}perator", "reads like `operator`"),
