@@ -86,7 +86,7 @@ class Handbacks:
         cell.control = keep(control, monotonic_s())  # some say nothing else
         newer = await self._newer(cell)
         if after is not None:
-            await check_newest(self.register, cell, present.id, principal, after)
+            await self._not_overtaken(cell, present.id, principal, after)
         if not newer and then == "resume":  # a rollback is the cell's own to judge
             raise Conflict(
                 "facts_stale",
@@ -109,6 +109,13 @@ class Handbacks:
             _keep(cell, control)
             raise
         return await self._returned(present.id, then)
+
+    async def _not_overtaken(self, cell: Cell, invocation: str, principal: Principal, after: int) -> None:
+        try:
+            await check_newest(self.register, cell, invocation, principal, after)
+        except Conflict:
+            cell.told_of = None  # nobody knows whether they have heard what they were told before: it is told anew
+            raise
 
     async def _newer(self, cell: Cell) -> bool:
         """Wait for the cell's next state, since a plan begins with where the robot is now; say whether there is one."""

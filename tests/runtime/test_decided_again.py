@@ -315,6 +315,28 @@ async def test_what_one_hand_back_was_told_of_is_told_again_at_the_next(runtime:
     assert await asked_first(runtime, cell, session, "look", "approval_required", after=told) > told
 
 
+async def test_what_a_hand_back_was_told_of_is_told_again_to_whom_others_have_overtaken(
+    runtime: Runtime, cell: HandCell
+) -> None:
+    """The refusal that told them may be lost, and the one that was heard since says nothing of it."""
+    session = await approved(runtime, cell, OPERATOR)
+    await put_in_force(runtime, LOOK)
+    await taken(runtime, cell, session)
+    seen = runtime.store.size
+    told = await asked_first(runtime, cell, session, "look", "approval_required")
+    await runtime.governor.pause(session, OPERATOR_2)
+    await cell.report("status", session, status="paused", reason="operator")
+    await runtime.governor.resume(session, OPERATOR_2)
+    await cell.report("status", session, status="running", reason="operator")
+    async with stating(cell, status="running"):
+        with pytest.raises(Conflict) as refused:
+            await runtime.governor.release(session, OPERATOR, "resume", after=seen)
+    assert refused.value.code == "overtaken"
+    again = await asked_first(runtime, cell, session, "look", "approval_required", after=runtime.store.size)
+    assert again > told
+    await handed_back(runtime, cell, session, after=again)
+
+
 async def test_an_approval_of_what_was_carried_is_none_of_what_a_grant_answers_for_since(
     runtime: Runtime, cell: HandCell
 ) -> None:
