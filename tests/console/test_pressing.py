@@ -252,8 +252,9 @@ def test_handing_back_approves_nothing_before_there_was_time_to_read_what(
     until(lambda: server.cell()["control"] is None, what="a session that was handed back")
 
 
+@pytest.mark.parametrize("anew", [False, True], ids=["stays", "loads anew"])
 def test_handing_back_approves_nothing_where_the_refusal_that_told_what_was_lost(
-    server: ServerProcess, people: People, floor: Floor, granted: str
+    server: ServerProcess, people: People, floor: Floor, granted: str, anew: bool
 ) -> None:
     session = floor.grasp_slowly()
     person = people.sit(server)
@@ -273,6 +274,8 @@ def test_handing_back_approves_nothing_where_the_refusal_that_told_what_was_lost
     expect(person.alert("it is not known whether this arrived")).to_be_visible()
     assert answers == [409]
     person.page.unroute("**/release")
+    if anew:
+        person.page.reload()
     expect(person.region("Events")).to_contain_text("operator cannot hand back yet")  # the page has come as far as that
     back.click()
     expect(person.alert("Medium risk needs approval in human-shared.")).to_be_visible()
