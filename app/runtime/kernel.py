@@ -80,6 +80,12 @@ ANOTHER_PROFILE: Final = Reason(
     "the cell was put under another profile before anybody approved this",
     "propose again",
 )
+EDITED: Final = Reason(
+    "authority/approval",
+    "edit_not_approved",
+    "nobody approved what a person had made of this, and nobody is asked about it any more",
+    "propose again",
+)
 
 
 class ProfileLeft(Exception):

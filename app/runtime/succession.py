@@ -35,7 +35,7 @@ from app.runtime.escalation import APPROVAL, PROFILE_CHANGED, WITHDRAWN, bound_d
 from app.runtime.grant import GrantEnded
 from app.runtime.hands import over
 from app.runtime.invocation import reasons_document
-from app.runtime.kernel import ANOTHER_PROFILE
+from app.runtime.kernel import ANOTHER_PROFILE, EDITED
 from app.runtime.kernel import CHANGED as CONDITIONS_CHANGED
 from app.runtime.recollection import events_of
 from app.runtime.uncut import uncut
@@ -307,7 +307,8 @@ class Succession:
         """Decide on what waits for approval; an approver's edit stands in the place of what was requested.
 
         Where nobody is asked any more under another policy, it launches: an engineer put that in force with all that
-        follows. Whoever puts a cell under another profile does not expect it to move by that: the agent proposes again.
+        follows. Whoever puts a cell under another profile does not expect it to move by that, and what a person made of
+        it is neither what was proposed nor approved: the agent proposes again.
         """
         asked = dict(question.edits[-1]["params"]) if question.edits else dict(invocation.requested)
         try:
@@ -323,6 +324,8 @@ class Succession:
             await self._refuse(question, invocation, judgement)
         elif wanted is None and question.profile != judgement.profile:  # also where the policy changed as well
             await self._refuse(question, invocation, judgement, ANOTHER_PROFILE)
+        elif wanted is None and question.edits:
+            await self._refuse(question, invocation, judgement, EDITED)
         elif wanted is None:
             await self._launch(question, invocation, judgement)
         else:

@@ -18,7 +18,20 @@ from app.runtime.escalation import Escalation
 from app.runtime.grant import GrantRequest
 from app.runtime.invocation import Principal, ProposalRequest
 
-from .conftest import AGENT, AT_TOOLS, CELL, ENGINEER, OPERATOR, OPERATOR_2, HandCell, House, grasp, press, until
+from .conftest import (
+    AGENT,
+    AT_BENCH,
+    AT_TOOLS,
+    CELL,
+    ENGINEER,
+    OPERATOR,
+    OPERATOR_2,
+    HandCell,
+    House,
+    grasp,
+    press,
+    until,
+)
 from .test_desk import answer, asked, holding
 from .test_races import Gate
 from .test_takeover import stating
@@ -56,6 +69,25 @@ async def test_a_profile_that_asks_nobody_launches_nothing_where_the_policy_chan
     document = await runtime.governor.invocation(made["id"], AGENT)
     assert (document["status"], cell.all("launch")) == ("deferred", [])
     assert document["admission"]["reasons"][-1]["code"] == "profile_changed"
+
+
+async def test_an_edit_that_nobody_approved_is_not_launched_by_a_policy_that_asks_nobody(
+    runtime: Runtime, cell: HandCell
+) -> None:
+    """It is neither what the agent proposed nor what a person approved."""
+    seen = {"visible": True, "reachable": True, "x_m": 1.6, "y_m": 5.25, "z_m": 0.8, "stamp_s": 1.0}
+    cell.facts = {**AT_BENCH, "objects": {**AT_BENCH["objects"], "box_1": seen}}
+    await cell.state()
+    await runtime.governor.set_profile(CELL, "real-restricted", ENGINEER)
+    unsure = ProposalRequest(capability="grasp_object", params={"object_id": "mug_1"}, metadata={"confidence": 0.2})
+    made, question = await asked(runtime, unsure)
+    assert (await answer(runtime, question, params={"object_id": "box_1"}))["status"] == "pending"
+    files = edited(ORGANIZATION, "metadata.confidence < 0.5", "metadata.confidence < 0.1")
+    files = edited(ORGANIZATION, "mass_kg > 0.8 * limits", "mass_kg > 0.99 * limits", files)
+    await put_in_force(runtime, {name: text for name, text in files.items() if not name.startswith("tests/")})
+    document = await runtime.governor.invocation(made["id"], AGENT)
+    assert (document["status"], cell.all("launch")) == ("deferred", [])
+    assert document["admission"]["reasons"][-1]["code"] == "edit_not_approved"
 
 
 @pytest.mark.parametrize("revoked", [False, True])
