@@ -131,6 +131,7 @@ class Answer:
             now,
             effective=effective,
             digest=bound,
+            carried=self._kernel.carried(self._invocation, effective),
             # What others approved is what is asked still, where policy cut the edit back to it.
             approvals=self._escalation.approvals if bound == self._escalation.digest else (),
             edits=(*self._escalation.edits, edit),
@@ -243,6 +244,7 @@ class Answer:
         asked = present.evolve(
             now,
             digest=self._bound(present.effective, asking["reasons"]),
+            carried=self._kernel.carried(self._invocation, present.effective),
             approvals=(),
             acknowledged=(),
             expires_at=present.expires_at if need is None else rfc3339(self._register.now_s() + need.within_s),

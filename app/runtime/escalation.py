@@ -9,6 +9,8 @@ Three versions of the parameters are kept: as requested, as policy constrained t
 policy comes into force, or the cell is put under another profile, an approval is decided again and bound to that:
 `former_digests` are worth no answer any more, and `renewed` is the code that says why.
 
+`carried` is what the gripper held when it was asked, where that is what is handled: the digest is of that as well.
+
 `goal` and `task` are what the agent says it asks for, in its own words: nobody has checked them, nothing is decided by
 them, and an approval is of the parameters alone. An agent may say a lot, so people are shown the beginning.
 """
@@ -82,6 +84,7 @@ class Escalation:
     names_task: bool = False
     goal: str | None = None
     task: str | None = None
+    carried: str | None = None
 
     @property
     def approved(self) -> Mapping[str, Any] | None:
@@ -131,6 +134,7 @@ class Escalation:
             "names_task": self.names_task,
             "goal": self.goal,
             "task": self.task,
+            "carried": self.carried,
             "policy_version": self.policy_version,
             "status": self.status,
             "approvals": [dict(approval) for approval in self.approvals],

@@ -140,6 +140,7 @@ class Questions:
             names_task=invocation.task is not None,
             goal=stated(invocation.goal),
             task=stated(invocation.task),
+            carried=self.kernel.carried(invocation, effective) if fields["kind"] == APPROVAL else None,
             policy_version=invocation.policy_version,
             status=PENDING,
             approvals=(),

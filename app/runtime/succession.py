@@ -403,6 +403,7 @@ class Succession:
             constrained=effective if not question.edits else question.constrained,
             effective=effective,
             digest=bound,
+            carried=self._kernel.carried(decided, effective),
             former_digests=_former(question, bound),
             policy_version=judgement.policy.digest,
             profile=judgement.profile,

@@ -613,6 +613,7 @@ async def test_an_approval_of_one_load_is_none_of_another(
     assert not cell.all("launch")
     anew = await runtime.desk.get(question["id"])
     assert (anew["status"], anew["approvals"], anew["reasons"]) == ("pending", [], question["reasons"])
+    assert (question["carried"], anew["carried"]) == ("mug_1", "driver_1")
     assert await refusal(runtime, question, who=OPERATOR_2) == "digest_mismatch"
     await holding(cell, "mug_1")
     assert await refusal(runtime, anew) == "digest_mismatch"  # nor is that one's of what is held by now
@@ -628,6 +629,7 @@ async def test_an_edit_of_what_policy_would_cut_by_now_approves_no_other_load(ru
     await holding(cell, "glass_1")  # fragile: what was asked about is faster than policy lets it be carried
     edited = await answer(runtime, question, params={"speed_mps": 0.1})
     assert (edited["status"], edited["approvals"], cell.all("launch")) == ("pending", [], [])
+    assert (question["carried"], edited["carried"]) == ("mug_1", "glass_1")
     assert await refusal(runtime, question, who=OPERATOR_2) == "digest_mismatch"
     assert (await answer(runtime, edited))["status"] == "approved"
     assert len(cell.all("launch")) == 1

@@ -1,5 +1,5 @@
 import { describe, expect, it, vi } from 'vitest';
-import { heldIn, titleOf } from '../src/lib/format/capability';
+import { heldIn, loadOf, titleOf } from '../src/lib/format/capability';
 import { entriesOf, eventLine } from '../src/lib/format/events';
 import { figuresOf, labelOf, unitOf, valueOf } from '../src/lib/format/quantity';
 import type { Cell, Control } from '../src/lib/api/documents';
@@ -275,5 +275,10 @@ describe('what a question is about', () => {
     expect(heldIn(cells, 'b')).toBe('box_1');
     expect(heldIn(cells, 'gone')).toBeNull();
     expect(heldIn(cells, null)).toBeNull();
+    expect(loadOf({ carried: null, cell: 'b' }, cells)).toBe('box_1');
+  });
+
+  it('is what was asked about, whatever has come into the gripper since', () => {
+    expect(loadOf({ carried: 'mug_1', cell: 'b' }, { b: cell({ id: 'b', facts: { holding: 'glass_1' } }) })).toBe('mug_1');
   });
 });

@@ -32,6 +32,7 @@ EXAMPLE_ESCALATION: dict[str, Any] = {
     "names_task": False,
     "goal": "fetch mug_1 and deliver it to bench_b",
     "task": None,
+    "carried": None,
     "policy_version": EXAMPLE_INVOCATION["policy_version"],
     "status": "pending",
     "approvals": [],
@@ -119,6 +120,11 @@ class EscalationDocument(Document):
         f"first {STATED_AT_MOST} characters in one line. Nobody has checked it, and the digest is not of it.",
     )
     task: str | None = Field(default=None, description="What the agent calls its task (`metadata.task`); as `goal`.")
+    carried: str | None = Field(
+        default=None,
+        description="What the gripper held when this was asked, where that is what is handled: no parameter names it, "
+        "and the digest is of it as well.",
+    )
     policy_version: str | None
     status: Literal["pending", "approved", "denied", "expired", "withdrawn"]
     approvals: list[ApprovalDocument]

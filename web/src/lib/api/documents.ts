@@ -94,6 +94,8 @@ export interface Escalation {
   acknowledged?: { by: string; since: string }[];
   /** Whether a grant may be for the proposal's task: one without a name has none. */
   names_task?: boolean;
+  /** What the gripper held when it was asked, where that is what is handled. */
+  carried?: string | null;
   /** What the agent says it is after, and what it calls its task: words of its own, which nobody has checked. */
   goal?: string | null;
   task?: string | null;

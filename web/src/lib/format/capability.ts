@@ -1,4 +1,4 @@
-import type { Cell, Params } from '../api/documents';
+import type { Cell, Escalation, Params } from '../api/documents';
 import { entryOf } from './entry';
 import { inBrief, plain } from './plain';
 
@@ -47,4 +47,9 @@ export function titleOf(capability: string, params: Params, holding: string | nu
 /** What the gripper of a cell holds, as far as that is known: of the cell in question, which need not be the one looked at. */
 export function heldIn(cells: Record<string, Cell>, cell: string | null | undefined): string | null {
   return (cell == null ? undefined : entryOf(cells, cell))?.facts?.holding ?? null;
+}
+
+/** What a question is about, where that is what the gripper holds: as it was asked, whatever has come into the gripper since. */
+export function loadOf({ carried, cell }: Pick<Escalation, 'carried' | 'cell'>, cells: Record<string, Cell>): string | null {
+  return carried ?? heldIn(cells, cell);
 }

@@ -1,14 +1,14 @@
 import type { Escalation } from '../api/documents';
-import { heldIn, titleOf } from '../format/capability';
+import { loadOf, titleOf } from '../format/capability';
 import { figuresOf } from '../format/quantity';
 import type { Documents } from '../state/documents';
 
 type Known = Pick<Documents, 'cells' | 'escalations'>;
 
 /** What is asked, and where, if there are several cells. */
-export function placedOf({ capability, effective, cell }: Pick<Escalation, 'capability' | 'effective' | 'cell'>, { cells }: Pick<Known, 'cells'>): string {
-  const where = Object.keys(cells).length > 1 && cell != null ? ` in ${cell}` : '';
-  return titleOf(capability, effective, heldIn(cells, cell)) + where;
+export function placedOf(asked: Pick<Escalation, 'capability' | 'effective' | 'cell' | 'carried'>, { cells }: Pick<Known, 'cells'>): string {
+  const where = Object.keys(cells).length > 1 && asked.cell != null ? ` in ${asked.cell}` : '';
+  return titleOf(asked.capability, asked.effective, loadOf(asked, cells)) + where;
 }
 
 /** Whether another one that waits reads the same. */
