@@ -442,6 +442,30 @@ def test_no_key_answers_behind_the_list_of_keys_or_from_the_panel_and_a_stopped_
     assert floor.settled(proposed["id"])["status"] == "denied"
 
 
+def test_who_types_into_a_question_that_has_just_come_up_goes_on_typing_there(
+    server: ServerProcess, people: People, floor: Floor
+) -> None:
+    person = people.sit(server)
+    floor.ask()
+    speed = person.page.get_by_role("textbox", name="Speed you approve, m/s")
+    deny = person.button(re.compile("^Deny"))
+    # At once, while no answer is taken yet, as by a click.
+    person.page.evaluate(
+        """() => { const seen = new MutationObserver(() => {
+            const field = document.querySelector('article[aria-label="Grasp glass_1"] input[aria-label^=Speed]');
+            field?.select();
+            if (field != null) seen.disconnect();
+        }); seen.observe(document.body, { childList: true, subtree: true }); }"""
+    )
+    floor.ask("glass_1")
+    person.button(re.compile("^Grasp glass_1")).click()
+    expect(deny).to_be_enabled()
+    expect(speed).to_be_focused()
+    person.page.keyboard.type("0.1")
+    expect(speed).to_have_value("0.1")
+    assert not server.cell()["latched"]
+
+
 def test_no_key_answers_what_lies_behind_the_menu_of_a_phone(
     server: ServerProcess, people: People, floor: Floor
 ) -> None:

@@ -98,6 +98,24 @@ def test_an_auditor_gives_a_verdict_by_keyboard_and_its_trace_shows_nothing_meas
     looks_where_nothing_was_measured(person, "auditor reviewed: objected")
 
 
+def test_who_writes_a_note_when_a_question_comes_up_goes_on_writing_and_answers_nothing(
+    server: ServerProcess, people: People, floor: Floor, stopped: dict[str, Any]
+) -> None:
+    until(floor.unlatched, what="a cell that no stop latches")
+    with server.client() as client:
+        assert client.put(f"{CELL}/profile", json={"profile": "human-shared"}).is_success
+    person = people.sit(server)
+    queue(person).get_by_role("button", name=re.compile("Drive to")).click()
+    note = queue(person).get_by_label("Note for the record")
+    note.fill("It was ")
+    asked = floor.ask()
+    expect(person.button(re.compile("^Approve"))).to_be_enabled()  # by then its answers are taken
+    person.page.keyboard.type("a near miss.")
+    expect(note).to_have_value("It was a near miss.")
+    assert server.get(f"/v1/invocations/{asked['id']}")["status"] == "awaiting_approval"
+    assert not server.cell()["latched"]
+
+
 def test_a_note_that_turns_its_line_around_is_marked_wherever_it_is_shown(
     server: ServerProcess, people: People, stopped: dict[str, Any]
 ) -> None:
