@@ -93,6 +93,28 @@ def test_a_link_that_goes_is_told_and_what_came_meanwhile_is_there_when_it_is_ba
             assert floor.settled(asked["id"])["status"] == "denied"
 
 
+def test_who_types_an_edit_while_the_link_goes_types_on_and_stops_nothing(
+    server: ServerProcess, people: People, floor: Floor
+) -> None:
+    with wire_to(urlsplit(server.url).port or 0) as wire:
+        person = people.sit(server, at=f"http://127.0.0.1:{wire.port}")
+        person.expects(BROKEN)
+        floor.ask()
+        speed = person.page.get_by_role("textbox", name="Speed you approve, m/s")
+        expect(person.button(re.compile("^Approve"))).to_be_enabled()
+        speed.select_text()
+        person.page.keyboard.type("0")
+        wire.swallow()
+        expect(person.alert("Link down.")).to_be_visible()
+        person.page.keyboard.type(".12")
+        expect(speed).to_have_value("0.12")
+        expect(person.button(re.compile("^(Approve edit|Checking)"))).to_be_disabled()
+        wire.mend()
+        expect(person.button("Approve edit")).to_be_enabled()
+        expect(speed).to_have_value("0.12")
+        assert not server.cell()["latched"]
+
+
 def test_a_pause_is_sent_though_the_link_is_down_and_what_came_of_it_is_told(
     server: ServerProcess, people: People, floor: Floor
 ) -> None:
