@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import re
+import shutil
 import signal
 from contextlib import ExitStack
 from typing import Any
@@ -408,6 +409,30 @@ def test_a_console_whose_link_the_server_did_not_hand_over_asks_for_it_again(
     until(lambda: refused or person.page.wait_for_timeout(20), what="the first attempt")
     expect(person.alert("Connecting to the server.")).to_have_count(0)
     expect(person.page.locator(".live .stale")).to_have_count(0)
+
+
+def test_a_log_that_was_put_back_is_proved_and_listed_anew_under_a_page_that_stayed_open(
+    built: None, servers: Servers, people: People
+) -> None:
+    server = servers.start(cells=0)
+    server.stop()
+    shutil.copytree(server.data, copy := server.data.with_name("copy"))
+    port = urlsplit(server.url).port
+    again = servers.start(server.data, "--port", str(port), cells=0)
+    again.propose("navigate_to", target="dock")
+    person = people.open(f"{again.url}/#token={again.tokens['auditor']}")
+    person.expects(BROKEN)
+    person.press("2")
+    proof, found = person.region("Integrity of the log"), person.region("Find").get_by_role("listitem")
+    expect(proof).to_contain_text("The log holds.")
+    expect(found).to_have_text(re.compile("Drive to dock"))
+    again.stop()
+    shutil.rmtree(server.data)
+    copy.rename(server.data)
+    servers.start(server.data, "--port", str(port), cells=0)
+    expect(proof).to_contain_text("The log does not hold.")
+    expect(proof).to_contain_text("This console has seen")
+    expect(found).to_have_count(0)
 
 
 def test_a_page_that_the_server_does_not_hand_over_comes_when_it_is_back_and_a_question_to_policy_outlasts_its_link(

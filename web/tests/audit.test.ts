@@ -40,7 +40,7 @@ describe('the check of the log', () => {
     await check.runUnlessHolds(api, 44);
     expect([asked.mock.calls.length, check.now]).toMatchObject([2, { is: 'good', size: 44 }]);
     says = { ...found, size: 43 };
-    await check.runUnlessHolds(api, 45);
+    await check.runUnlessHolds(api, 43); // it was put back: shorter than what was found to hold
     says = found;
     await check.runUnlessHolds(api, 50);
     expect([asked.mock.calls.length, check.now.is]).toEqual([3, 'bad']);

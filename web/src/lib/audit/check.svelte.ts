@@ -1,15 +1,15 @@
 import { ApiError, type Api } from '../api/client';
 import { clock } from '../state/clock.svelte';
-import { judge, newerThan, type Integrity } from './integrity';
+import { judge, type Integrity } from './integrity';
 
 /** The log's integrity as this tab last found it; outlives the page that shows it. */
 export class LogCheck {
   now = $state.raw<Integrity>({ is: 'unchecked' });
   private seen: { size: number; root: string } | null = null;
 
-  /** Checks what is not known, or was found before the log grew beyond `seq`; what an answer says is bad stays so. */
+  /** Checks what is not known, or was found of a log of another length than `seq`, be it shorter by now; what an answer says is bad stays so. */
   async runUnlessHolds(api: Pick<Api, 'checkpoint' | 'verify'>, seq: number): Promise<void> {
-    if (this.now.is === 'unchecked' || this.now.is === 'unknown' || newerThan(this.now, seq) > 0) await this.run(api);
+    if (this.now.is === 'unchecked' || this.now.is === 'unknown' || (this.now.is === 'good' && this.now.size !== seq)) await this.run(api);
   }
 
   async run(api: Pick<Api, 'checkpoint' | 'verify'>): Promise<void> {
