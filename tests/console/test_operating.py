@@ -7,6 +7,7 @@ import re
 import signal
 from datetime import datetime
 from typing import TYPE_CHECKING
+from urllib.parse import urlsplit
 
 import pytest
 from playwright.sync_api import Locator, Route, expect
@@ -14,6 +15,7 @@ from playwright.sync_api import Locator, Route, expect
 from app.clock import rfc3339, wall_s
 from tests.conftest import ServerProcess, until
 from tests.console.conftest import Floor, People, Person, at_once, far, insist
+from tests.console.wire import wire_to
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -354,6 +356,35 @@ def test_a_profile_is_chosen_by_arrow_keys_compared_anew_when_another_changes_it
         expect(choice).to_be_focused()
     finally:
         put_under(server, before)
+
+
+def test_what_was_compared_by_a_policy_that_is_not_in_force_any_more_is_compared_anew(
+    server: ServerProcess, people: People, floor: Floor
+) -> None:
+    before = server.cell()["profile"]
+    with wire_to(urlsplit(server.url).port or 0) as wire:
+        person = people.sit(server, at=f"http://127.0.0.1:{wire.port}")
+        person.expects("WebSocket connection|ERR_|Failed to load resource")
+        person.press("4")
+        card = person.region("workcell-1")
+        yes = card.get_by_role("button", name="Yes, change it")
+        card.get_by_label("Profile", exact=True).select_option("test-audit")
+        card.get_by_role("button", name="Change…").click()
+        expect(yes).to_be_enabled()
+
+        def newer(route: Route) -> None:
+            answer = route.fetch()
+            route.fulfill(response=answer, json={**answer.json(), "version": "sha256:" + "7" * 64})
+
+        person.page.route("**/policies/active", newer)
+        wire.cut()
+        expect(person.alert("Link down.")).to_be_visible()
+        wire.mend()
+        expect(card.get_by_role("alert")).to_contain_text("Another policy came into force meanwhile.")
+        expect(yes).to_have_count(0)
+        card.get_by_role("button", name=f"Compare with {before}").click()
+        expect(yes).to_be_enabled()
+        assert server.cell()["profile"] == before
 
 
 def put_under(server: ServerProcess, profile: str, key: str = "operator") -> None:
