@@ -439,6 +439,28 @@ def goes_to_the_fleet_by_tab(person: Person) -> None:
     expect(person.page.get_by_role("heading", name="Fleet")).to_be_visible()
 
 
+# As many cells of the same as a hall may have, of which the page is told beside the one there is.
+FORTY = """(() => { const One = Worker;
+    window.Worker = class extends One { set onmessage(take) { super.onmessage = (event) => {
+        for (const { message } of event.data) if (message?.cells?.length > 0) {
+            const [cell] = message.cells;
+            message.cells = Array.from({ length: 40 }, (_, k) => ({ ...cell, id: `workcell-${k + 1}` }));
+        }
+        take(event);
+    }; } };
+})()"""
+
+
+def test_the_matrix_stays_on_the_screen_however_many_cells_a_profile_is_in_force_in(
+    server: ServerProcess, people: People
+) -> None:
+    person = people.sit(server, init=FORTY)
+    person.press("3")
+    table = person.page.get_by_role("table", name=re.compile("^What policy says"))
+    expect(table).to_contain_text("and 37 more")
+    assert table.locator("..").evaluate("(around) => around.scrollWidth <= around.clientWidth")
+
+
 def test_an_answer_of_policy_is_marked_once_its_question_has_changed_even_if_it_comes_late_and_faults_are_shown(
     server: ServerProcess, people: People
 ) -> None:
