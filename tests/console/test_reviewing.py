@@ -116,6 +116,41 @@ def test_who_writes_a_note_when_a_question_comes_up_goes_on_writing_and_answers_
     assert not server.cell()["latched"]
 
 
+def test_what_one_goes_on_writing_when_another_verdict_came_first_answers_no_question(
+    server: ServerProcess, people: People, floor: Floor, stopped: dict[str, Any]
+) -> None:
+    until(floor.unlatched, what="a cell that no stop latches")
+    with server.client() as client:
+        assert client.put(f"{CELL}/profile", json={"profile": "human-shared"}).is_success
+    person = people.sit(server)
+    asked = floor.ask()
+    queue(person).get_by_role("button", name=re.compile("Drive to")).click()
+    note = queue(person).get_by_label("Note for the record")
+    expect(person.button(re.compile("^Approve"))).to_be_enabled()
+    note.press_sequentially("It was ")
+    # Whoever writes hears nothing of it: the next letters follow in the very moment in which the form is gone.
+    person.page.evaluate(
+        """() => {
+            const type = (into, key) =>
+                into?.dispatchEvent(new KeyboardEvent('keydown', { key, bubbles: true, cancelable: true }));
+            const field = () => document.querySelector('form textarea');
+            const typing = setInterval(() => type(field(), 'x'), 100);
+            const seen = new MutationObserver(() => {
+                if (field() !== null) return;
+                seen.disconnect();
+                clearInterval(typing);
+                for (const key of 'anear') type(document.activeElement, key);
+                window.written = true;
+            });
+            seen.observe(document.body, { childList: true, subtree: true });
+        }"""
+    )
+    judge(server, kept(server, stopped), "accepted")
+    expect(queue(person)).to_contain_text("Your note was not recorded: “It was”")
+    assert person.page.evaluate("window.written")
+    assert server.get(f"/v1/invocations/{asked['id']}")["status"] == "awaiting_approval"
+
+
 def test_a_note_that_turns_its_line_around_is_marked_wherever_it_is_shown(
     server: ServerProcess, people: People, stopped: dict[str, Any]
 ) -> None:

@@ -127,8 +127,21 @@ describe('the keyboard', () => {
     const keys = new Keys();
     const ran: string[] = [];
     keys.on('a', 'approve', () => ran.push('a'));
-    expect([keys.press(key('a'), true), keys.press(key('a', { ctrlKey: true }), false), keys.press(key('a', { repeat: true }), false)]).toEqual([false, false, false]);
+    expect([keys.press(key('a'), true), keys.press(key('Tab'), true)]).toEqual([false, false]);
+    expect([keys.press(key('a', { ctrlKey: true }), false), keys.press(key('a', { repeat: true }), false)]).toEqual([false, false]);
     expect([keys.press(key('A'), false), ran]).toEqual([true, ['a']]);
+  });
+
+  it('runs no shortcut, and presses nothing, by what one goes on to type into a field that is gone; the stop it runs', () => {
+    const [keys, ran, now] = [new Keys(), new Array<string>(), vi.spyOn(performance, 'now')];
+    for (const one of ['a', ' ']) keys.on(one, 'approve', () => ran.push(one));
+    keys.onStop(() => ran.push('.'));
+    const press = (name: string, atMs: number, typing = false): boolean => (now.mockReturnValue(atMs), keys.press(key(name), typing));
+    expect([press('c', 0, true), press('a', 300), press(' ', 2_000), press('Shift', 3_000), press('A', 3_500), ran]).toEqual([false, true, true, false, true, []]);
+    expect([press('.', 3_600), ran]).toEqual([true, ['.']]);
+    expect([press('a', 5_600), ran]).toEqual([true, ['.', 'a']]);
+    expect([press('c', 6_000, true), press('Escape', 6_100), press('a', 6_200), ran]).toEqual([false, false, true, ['.', 'a', 'a']]);
+    now.mockRestore();
   });
 
   it('stops once for a key that is held, and swallows the rest', () => {

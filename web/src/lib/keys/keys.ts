@@ -50,6 +50,9 @@ export function pressedBySpace(target: { tagName?: string; type?: string } | nul
   return ['BUTTON', 'SUMMARY', 'SELECT'].includes(target?.tagName ?? '');
 }
 
+/** A sign that follows within so long upon one that was typed is typed as well, unless one went elsewhere meanwhile. */
+const GOES_ON_MS = 2_000;
+
 /** The key that stops, from anywhere. */
 export const STOP_KEY = '.';
 
@@ -83,6 +86,8 @@ export class Keys {
   private stop: () => void = () => undefined;
   private covers = 0;
   private readonly reserved: ReadonlySet<string>[] = [];
+  /** When a sign was typed last; NaN where a finger came after it, or another key than that for a capital. */
+  private typedMs = NaN;
   /** Whether single characters count at all (WCAG 2.1.4); the stop always does. */
   single = true;
 
@@ -145,10 +150,21 @@ export class Keys {
       if (!event.repeat) this.stop();
       return true;
     }
-    if (!mayBeShortcut(event, letters) || this.ignores(event) || this.isReserved(event)) return false;
+    const typed = this.typed(event, typing);
+    if (!mayBeShortcut(event, letters)) return false;
+    if (typed) return true;
+    if (this.ignores(event) || this.isReserved(event)) return false;
     const wanted = named(event);
     const counts = (known: Shortcut): boolean => known.key === wanted && (!this.covered || known.everywhere);
     return this.shortcuts.findLast((known) => counts(known) && known.run() !== false) !== undefined;
+  }
+
+  /** Whether a sign is typed, be it into a field that the page took away: then it is no shortcut, and presses nothing. */
+  private typed({ key }: KeyLike, typing: boolean): boolean {
+    const nowMs = performance.now();
+    const so = key.length === 1 && (typing || nowMs - this.typedMs < GOES_ON_MS);
+    if (key !== 'Shift') this.typedMs = so ? nowMs : NaN;
+    return so;
   }
 
   /**
@@ -171,8 +187,11 @@ export class Keys {
         event.stopPropagation();
       } else if (opensSearch(event, typing)) event.preventDefault();
     };
-    target.addEventListener('keydown', listen, { capture: true });
-    return () => target.removeEventListener('keydown', listen, { capture: true });
+    const end = new AbortController();
+    const how = { capture: true, signal: end.signal };
+    target.addEventListener('pointerdown', () => (this.typedMs = NaN), how);
+    target.addEventListener('keydown', listen, how);
+    return () => end.abort();
   }
 }
 
