@@ -53,7 +53,10 @@ class EscalationQuery(PageQuery):
 
 
 async def escalations(request: Request, query: Annotated[EscalationQuery, Query()]) -> Response:
-    """List escalations, newest first; with `sort=urgency` the pending ones, the one that ends first first."""
+    """List escalations, newest first; with `sort=urgency` the pending ones, the one that ends first first.
+
+    Where there are more than `limit`, each agent's own first ones are among those, and what each held session asks.
+    """
     desk = parts_of(request).desk
     if query.sort == "urgency":
         return answer({"items": desk.most_urgent(query.limit), "next": None})

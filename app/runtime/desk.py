@@ -9,6 +9,8 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+from collections import Counter
+from operator import itemgetter
 from typing import TYPE_CHECKING, Any, Final
 
 from app.audit.documents import follow, is_founded, nothing_said
@@ -92,9 +94,18 @@ class Desk(Questions):
         return self.register.stored.those_of("escalations", page.items, _shown), page.next
 
     def most_urgent(self, limit: int = 50) -> list[dict[str, Any]]:
-        """Return the open questions, the most urgent first: the one that ends first, of two the one of higher risk."""
+        """Return the open questions, the most urgent first: the one that ends first, of two the one of higher risk.
+
+        Where there are more than that, no agent's many leave out another's few, nor what a held session asks.
+        """
         found = sorted(self._pending.values(), key=lambda escalation: escalation.urgency)
-        return [escalation.public() for escalation in found[:limit]]
+        turns: Counter[tuple[str, str]] = Counter()
+        places: list[tuple[int, int]] = []
+        for place, question in enumerate(found):
+            asker = question.agent, question.kind
+            places.append((turns[asker], place))
+            turns[asker] += 1
+        return [found[place].public() for _, place in sorted(sorted(places)[:limit], key=itemgetter(1))]
 
     async def get(self, escalation_id: str) -> dict[str, Any]:
         """Return one question.

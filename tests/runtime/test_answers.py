@@ -11,6 +11,7 @@ import orjson
 import pytest
 
 from app.audit.errors import RecordUnavailable
+from app.clock import rfc3339
 from app.governance.policy import PolicySet
 from app.governance.policy_model import Confirmation
 from app.runtime.assembly import Runtime
@@ -137,6 +138,19 @@ async def test_the_most_urgent_question_ends_first(house: House, runtime: Runtim
     held_one = read_escalation(orjson.dumps({**first, "risk": "critical"}))
     assert held_one.urgency < read_escalation(orjson.dumps(first)).urgency
     assert held_one.urgency < replace(held_one, expires_at=None).urgency
+
+
+async def test_an_agent_that_asks_a_lot_leaves_nobody_else_out_of_a_short_list(
+    house: House, runtime: Runtime, cell: HandCell
+) -> None:
+    first = read_escalation(orjson.dumps((await asked(runtime))[1]))
+    ends = (first.deadline_s or 0.0) + 60.0
+    few = replace(first, id="esc_few", agent="scout", expires_at=rfc3339(ends))
+    held_one = replace(first, id="esc_held", kind="session", expires_at=rfc3339(ends + 1.0))
+    many = [replace(first, id=f"esc_{number}") for number in range(9)]
+    runtime.desk.hold(*many, few, held_one)
+    assert [one["id"] for one in runtime.desk.most_urgent(4)][-2:] == ["esc_few", "esc_held"]
+    runtime.desk.hold(*(replace(one, status="withdrawn") for one in (*many, few, held_one)))
 
 
 def test_a_question_of_an_earlier_release_is_read_back() -> None:
