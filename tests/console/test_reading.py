@@ -444,7 +444,8 @@ FORTY = """(() => { const One = Worker;
     window.Worker = class extends One { set onmessage(take) { super.onmessage = (event) => {
         for (const { message } of event.data) if (message?.cells?.length > 0) {
             const [cell] = message.cells;
-            message.cells = Array.from({ length: 40 }, (_, k) => ({ ...cell, id: `workcell-${k + 1}` }));
+            const other = (k) => ({ ...cell, id: `workcell-${k + 1}`, latched: LATCHED });
+            message.cells = Array.from({ length: 40 }, (_, k) => other(k));
         }
         take(event);
     }; } };
@@ -454,11 +455,25 @@ FORTY = """(() => { const One = Worker;
 def test_the_matrix_stays_on_the_screen_however_many_cells_a_profile_is_in_force_in(
     server: ServerProcess, people: People
 ) -> None:
-    person = people.sit(server, init=FORTY)
+    person = people.sit(server, init=FORTY.replace("LATCHED", "false"))
     person.press("3")
     table = person.page.get_by_role("table", name=re.compile("^What policy says"))
     expect(table).to_contain_text("and 37 more")
     assert table.locator("..").evaluate("(around) => around.scrollWidth <= around.clientWidth")
+
+
+def test_where_many_cells_are_stopped_one_banner_tells_of_them_all(server: ServerProcess, people: People) -> None:
+    person = people.sit(server, init=FORTY.replace("LATCHED", "k > 0"))
+    told = person.alert("Emergency stop: workcell-2, workcell-3 and 37 more are stopped, other cells than STOP is for.")
+    expect(told).to_be_visible()
+    expect(person.page.get_by_role("alert").filter(has_text="Emergency stop")).to_have_count(1)
+    told.get_by_role("link", name="See them on Fleet").click()
+    expect(told).to_have_count(0)  # their cards tell of them there
+    names = person.page.get_by_role("heading", level=2).all_inner_texts()
+    assert names[:3] == ["workcell-1", "workcell-2", "workcell-3"]
+    person.press("1")
+    told.get_by_role("button", name="Understood").click()
+    expect(told).to_have_count(0)
 
 
 def test_an_answer_of_policy_is_marked_once_its_question_has_changed_even_if_it_comes_late_and_faults_are_shown(

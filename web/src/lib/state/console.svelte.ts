@@ -156,7 +156,7 @@ export class Console {
   }
 
   get cells(): Cell[] {
-    return Object.values(this.docs.cells).sort((a, b) => a.id.localeCompare(b.id));
+    return Object.values(this.docs.cells).sort((a, b) => a.id.localeCompare(b.id, undefined, { numeric: true }));
   }
 
   get cell(): Cell | null {
