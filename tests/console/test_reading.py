@@ -290,8 +290,10 @@ def test_a_trace_follows_its_session_shows_what_is_not_read_yet_as_unknown_and_i
     server: ServerProcess, people: People, floor: Floor
 ) -> None:
     person = people.sit(server)
+    person.press("2")
+    expect(person.region("Integrity of the log")).to_contain_text("The log holds.")
     asked = floor.ask()
-    person.page.evaluate(f"location.hash = '#/audit/{asked['id']}'")
+    person.page.locator(f"a[href*='{asked['id']}']").click()  # it is listed though it has not ended
     expect(person.region("Replay")).to_contain_text("waits for an answer")
     floor.answer(asked, "deny")
     expect(person.region("Replay")).to_contain_text("Nothing ran under this proposal")
