@@ -252,7 +252,7 @@ _BY_REPAIR: tuple[tuple[_Repairer, str], ...] = (
         _give_up,
         "recovery_failed guard_broken loop_broken not_held another_site unknown_capability unknown_name power_off",
     ),
-    (_give_up, "permit_expired not_yet_valid"),  # until somebody sets a clock
+    (_give_up, "permit_expired not_yet_valid clock_put_back"),  # until somebody sets a clock
     (_give_up, "operator expired taken_over control_lapsed cancelled estop shutdown"),
 )
 REPAIRS: Mapping[str, _Repairer] = {code: repairer for repairer, codes in _BY_REPAIR for code in codes.split()}

@@ -37,6 +37,8 @@ COMPACT_BYTES: Final = 4 * 1024 * 1024
 USED: Final = "used:"
 FORGOTTEN: Final = "forgotten_s"
 BEGUN: Final = "begun_s"
+KEEP_PERMITS: Final = 1000
+MOST_MARKS: Final = 2 * KEEP_PERMITS
 ID_BYTES: Final = 12
 
 
@@ -276,19 +278,25 @@ class Journal:
         return float(begun) if isinstance(begun, (int, float)) else -math.inf
 
     def forget_permits(self, now_s: float) -> None:
-        """Forget used permits that have expired, and keep the latest expiry among them.
+        """Forget used permits that have expired, where they have become many, and keep the latest expiry among them.
 
         Time alone would not refuse them from now on: a clock that ran ahead is put back. Whoever verifies refuses what
-        expired by `forgotten_s`.
+        expires by `forgotten_s`, and that is all there is until then. So what expired first goes first, and the newest
+        stay beyond their expiry: of what was used while a clock ran ahead, each is known by its name once it is put
+        back.
 
         Raises:
             JournalUnavailable: it could not be written; nothing is forgotten.
         """
-        gone = {
+        if len(self.marks) <= MOST_MARKS:
+            return
+        used = {
             name: until
             for name, until in self.marks.items()
-            if name.startswith(USED) and isinstance(until, (int, float)) and until < now_s
+            if name.startswith(USED) and isinstance(until, (int, float))
         }
+        oldest = sorted(used, key=used.__getitem__)[:-KEEP_PERMITS]
+        gone = {name: used[name] for name in oldest if used[name] < now_s}
         if gone:
             self.mark({**dict.fromkeys(gone), FORGOTTEN: max(self.forgotten_s, *gone.values())})
             self.marks = {name: value for name, value in self.marks.items() if value is not None}

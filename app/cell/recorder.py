@@ -149,7 +149,7 @@ class Recorder:
             self._woken.set()
 
     def acknowledged(self, seq: int) -> None:
-        """Have the journal forget what the server's log holds, and used permits that have expired."""
+        """Have the journal forget what the server's log holds, and used permits that expired long ago."""
         self._acknowledged = seq
         if self._writer is None:
             self._keep_house()

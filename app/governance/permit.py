@@ -30,7 +30,16 @@ if TYPE_CHECKING:
 
     from app.governance.model import Json, Params
 
-PermitCode = Literal["bad_signature", "malformed", "wrong_cell", "wrong_policy", "not_yet_valid", "expired", "used"]
+PermitCode = Literal[
+    "bad_signature",
+    "malformed",
+    "wrong_cell",
+    "wrong_policy",
+    "not_yet_valid",
+    "expired",
+    "clock_put_back",
+    "used",
+]
 
 CLOCK_TOLERANCE_S: Final = 2.0
 """How far the kernel's clock may run ahead of the cell's; expiry gets no such tolerance."""
@@ -162,9 +171,10 @@ def verify(  # noqa: PLR0913  # all that a permit is held against, each by its n
         ),
         ("expired", not now_s < permit.expires_at_s, f"permit expired at `{permit.expires_at_s}`, it is `{now_s}`"),
         (
-            "expired",
+            "clock_put_back",
             not permit.expires_at_s > forgotten_s,
-            f"permit expired at `{permit.expires_at_s}`: it is `{now_s}`, but this cell's clock was beyond that before",
+            f"permit expires at `{permit.expires_at_s}`, it is `{now_s}`, but this cell's clock was beyond "
+            f"`{forgotten_s}` before: it may have been bound then, and which were is known of later ones alone",
         ),
         (
             "used",

@@ -63,6 +63,10 @@ KNOWN: Final[Mapping[str, tuple[str, str]]] = {
         "by the cell's clock its authorization is from the future",
         "propose it again once the clocks of server and cell agree",
     ),
+    "clock_put_back": (
+        "the cell's clock was put back, and what the cell used up before that it does not know any more",
+        "propose it again once that clock has come to where it was",
+    ),
     "used": ("the cell may have used its authorization up before its journal was begun", "propose it again"),
     "holding": ("the cell holds since it lost its link", "propose it again when the link holds"),
     "unknown_capability": ("the robot has no skill for it", "choose another capability, or another cell"),

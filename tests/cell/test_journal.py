@@ -218,27 +218,51 @@ def test_marks_become_durable_with_the_entry_that_carries_them(tmp_path: Path) -
     assert again.used_permits() == {"auth-1"}
 
 
-def test_used_permits_are_forgotten_only_once_time_refuses_them(tmp_path: Path) -> None:
-    journal = Journal(tmp_path / "journal", boot="a")
-    journal.mark({"used:auth-1": 50.0, "used:auth-2": 70.0})
-    journal.forget_permits(60.0)
-    assert journal.used_permits() == {"auth-2"}
-    journal.close()
-    assert Journal(tmp_path / "journal", boot="b").used_permits() == {"auth-2"}
+def used(*moments: float) -> dict[str, Json]:
+    return {f"used:auth-{moment:g}": moment for moment in moments}
 
 
-def test_the_latest_expiry_of_what_was_forgotten_is_kept_for_a_clock_that_is_put_back(tmp_path: Path) -> None:
+def test_used_permits_are_kept_beyond_their_expiry_until_they_are_many(tmp_path: Path) -> None:
     journal = Journal(tmp_path / "journal", boot="a")
-    assert journal.forgotten_s == -math.inf
-    journal.mark({"used:auth-1": 50.0, "used:auth-2": 40.0, "used:auth-3": 70.0})
-    journal.forget_permits(60.0)
-    assert journal.forgotten_s == 50.0
-    journal.mark({"used:auth-0": 20.0})
-    journal.forget_permits(60.0)
-    assert journal.forgotten_s == 50.0, "it never falls"
+    journal.mark(used(*range(module.MOST_MARKS)))
+    journal.forget_permits(1e9)
+    assert len(journal.used_permits()) == module.MOST_MARKS
+    assert journal.forgotten_s == -math.inf, "a clock that ran ahead and was put back bars nothing"
+    journal.mark(used(module.MOST_MARKS))
+    journal.forget_permits(1e9)
+    kept = {f"auth-{number}" for number in range(module.MOST_MARKS + 1)[-module.KEEP_PERMITS :]}
+    assert journal.used_permits() == kept
+    assert journal.forgotten_s == module.MOST_MARKS - module.KEEP_PERMITS
     journal.compact()
     journal.close()
-    assert Journal(tmp_path / "journal", boot="b").forgotten_s == 50.0
+    again = Journal(tmp_path / "journal", boot="b")
+    assert (again.used_permits(), again.forgotten_s) == (kept, module.MOST_MARKS - module.KEEP_PERMITS)
+
+
+def test_used_permits_are_forgotten_only_once_time_refuses_them(tmp_path: Path) -> None:
+    journal = Journal(tmp_path / "journal", boot="a")
+    journal.mark(used(*range(100, 101 + module.MOST_MARKS)))
+    journal.forget_permits(100.0)
+    assert len(journal.used_permits()) == module.MOST_MARKS + 1
+    journal.forget_permits(102.0)
+    assert len(journal.used_permits()) == module.MOST_MARKS - 1
+    assert journal.forgotten_s == 101.0
+
+
+def test_what_was_used_while_a_clock_ran_ahead_is_not_forgotten_before_what_expired_earlier(tmp_path: Path) -> None:
+    journal = Journal(tmp_path / "journal", boot="a")
+    journal.mark({"used:ahead": 9000.0, **used(*range(module.MOST_MARKS))})
+    journal.forget_permits(9001.0)
+    assert "ahead" in journal.used_permits()
+    assert journal.forgotten_s == module.MOST_MARKS - module.KEEP_PERMITS
+
+
+def test_the_latest_expiry_of_what_was_forgotten_never_falls(tmp_path: Path) -> None:
+    journal = Journal(tmp_path / "journal", boot="a")
+    journal.mark({"forgotten_s": 5000.0, **used(*range(1 + module.MOST_MARKS))})
+    journal.forget_permits(1e9)
+    assert len(journal.used_permits()) == module.KEEP_PERMITS
+    assert journal.forgotten_s == 5000.0
 
 
 def test_when_it_was_begun_is_known_of_a_file_that_was_made_then(tmp_path: Path) -> None:

@@ -148,6 +148,35 @@ def test_a_permit_is_good_once_even_after_a_restart(rig: Rig, tmp_path: Path) ->
     rig.launch(id="auth-2")
 
 
+def test_a_clock_that_ran_ahead_and_is_put_right_bars_no_launch(rig: Rig, tmp_path: Path) -> None:
+    def launch(name: str) -> str | None:
+        began = rig.runner.launch(signed(id=name, issued_at_s=rig.now_s, expires_at_s=rig.now_s + 10.0))
+        rig.finish()
+        rig.runner.acknowledged(rig.journal.last_seq)
+        return began
+
+    ahead_s = NOW_S + 3600.0
+    for name in ("auth-1", "auth-2", "auth-3"):
+        rig.now_s += 12.0 if name != "auth-1" else 3600.0
+        assert launch(name) is None
+    rig.now_s = NOW_S + 40.0
+    assert launch("auth-4") is None
+    rig.journal.close()
+    rig.journal = Journal(tmp_path / "journal", boot="boot-2")
+    rig.runner = rig.start()
+    assert launch("auth-5") is None
+    rig.now_s = ahead_s
+    again = signed(id="auth-1", issued_at_s=ahead_s, expires_at_s=ahead_s + 10.0)
+    assert rig.runner.launch(again) == "used", "what was used meanwhile is known"
+
+
+def test_what_may_have_been_used_and_is_forgotten_says_that_the_clock_was_put_back(rig: Rig) -> None:
+    rig.journal.mark({"forgotten_s": NOW_S + 3600.0})
+    assert rig.runner.launch(signed()) == "clock_put_back"
+    rig.ticks(20)
+    assert rig.cell.bound == []
+
+
 def test_a_permit_that_may_have_been_bound_before_the_journal_was_lost_is_good_no_more(
     rig: Rig, tmp_path: Path
 ) -> None:

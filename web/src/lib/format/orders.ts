@@ -76,6 +76,7 @@ export const undoneWords = from({
   wrong_policy: 'the authorization is under another policy',
   not_yet_valid: 'the authorization does not count yet',
   expired: 'the authorization came too late',
+  clock_put_back: 'its clock was put back, and it cannot tell whether the authorization was used',
   used: 'the authorization was used already',
 });
 
