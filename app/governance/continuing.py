@@ -30,7 +30,18 @@ from app.governance.policy_model import GOVERNANCE
 from app.governance.recovery import DEFAULT_BUDGET
 
 if TYPE_CHECKING:
-    from app.governance.model import ApprovalNeed, Context, Proposal, RecoveryPlan, Verdict, WatchPlan, WatchRule
+    from collections.abc import Sequence
+
+    from app.governance.model import (
+        ApprovalNeed,
+        Context,
+        CoveredRecovery,
+        Proposal,
+        RecoveryPlan,
+        Verdict,
+        WatchPlan,
+        WatchRule,
+    )
     from app.governance.policy import PolicySet
 
 RULE: Final = "policy/changed"
@@ -55,7 +66,13 @@ class Departure:
 CONFORMS: Final = Departure()
 
 
-def departure(old: PolicySet | None, new: PolicySet, proposal: Proposal, context: Context) -> Departure:
+def departure(
+    old: PolicySet | None,
+    new: PolicySet,
+    proposal: Proposal,
+    context: Context,
+    covered: Sequence[CoveredRecovery] | None = None,
+) -> Departure:
     """Say how a running session departs from another policy. Pure.
 
     Args:
@@ -63,6 +80,8 @@ def departure(old: PolicySet | None, new: PolicySet, proposal: Proposal, context
         new: what is in force now.
         proposal: what runs, with its effective parameters.
         context: Γ_t now, the agent as the new policy knows it; whether the cell is busy does not matter.
+        covered: the recoveries that its authorization covers, whatever the world was like then; None where they are
+            not known: then what the old policy would have covered in the world as it is now.
     """
     admission, verdict = admit(new, proposal, context), check(new, proposal, context)
     if old is None:
@@ -74,7 +93,7 @@ def departure(old: PolicySet | None, new: PolicySet, proposal: Proposal, context
         *_rejected(admission, before),
         *_held(verdict, said, proposal),
         *_watched(old, new, proposal, context),
-        *_recovered(old, new, proposal, then, context),
+        *_recovered(old, new, _covered(old, proposal, then, covered), then, context),
     )
     refused = tuple(dict.fromkeys(refused))  # a watch rule may be of the session and of what recovers it
     if refused:
@@ -127,25 +146,40 @@ def _asks(wanted: ApprovalNeed | None, asked: ApprovalNeed | None) -> Departure:
     return Departure(reasons=fresh or wanted.reasons, askable=wanted.approvers == 1)
 
 
-def _recovered(
-    old: PolicySet, new: PolicySet, proposal: Proposal, then: Context, context: Context
-) -> tuple[Reason, ...]:
-    """Return why the new policy would not have the session recovered by what its authorization covers.
+def _covered(
+    old: PolicySet, proposal: Proposal, then: Context, covered: Sequence[CoveredRecovery] | None
+) -> list[Proposal]:
+    """Return what else than itself a session may be recovered by without anybody being asked, as that would run.
 
     What is not to be had just now counts as well: a grasp that holds nothing yet has nothing to release.
     """
-    if (proposal.capability, context.profile) not in old.gates:
-        return ()
+    if (proposal.capability, then.profile) not in old.gates:
+        return []
+    if covered is not None:
+        named = (one for one in covered if one.capability != proposal.capability)
+        return [
+            replace(proposal, capability=one.capability, params=one.params, mode=one.mode, preconditions=())
+            for one in named
+        ]
+    by = replace(then, agent=acting_for(then.agent))
+    wanted = ((asked, admit(old, asked, by), check(old, asked, by)) for asked in recoveries(old, proposal, then))
+    return [replace(asked, params=said.effective) for asked, before, said in wanted if _unasked(before, said)]
+
+
+def _recovered(
+    old: PolicySet, new: PolicySet, covered: list[Proposal], then: Context, context: Context
+) -> tuple[Reason, ...]:
+    """Return why the new policy would not have the session recovered by what its authorization covers."""
     by_old, by_new = (replace(known, agent=acting_for(known.agent)) for known in (then, context))
     found = list[Reason]()
-    for asked in recoveries(old, proposal, then):
-        before, said = admit(old, asked, by_old), check(old, asked, by_old)
-        if not _unasked(before, said):
-            continue
-        runs = replace(asked, params=said.effective)
+    for runs in covered:
+        before, said = admit(old, runs, by_old), check(old, runs, by_old)
         admission, verdict = admit(new, runs, by_new), check(new, runs, by_new)
         news = (*_rejected(admission, before), *_held(verdict, said, runs))
-        found += news if news or _unasked(admission, verdict) else (*admission.reasons, *verdict.reasons)
+        if not news and not _unasked(admission, verdict):
+            known = () if _unasked(before, said) else (*before.reasons, *said.reasons)
+            news = tuple(reason for reason in (*admission.reasons, *verdict.reasons) if reason not in known)
+        found += news
         found += _watched_tighter(old, new, runs, context)
     return tuple(found)
 

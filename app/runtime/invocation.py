@@ -18,7 +18,7 @@ from app.governance.model import TERMINAL, Mode, Outcome, Proposal, Role, Status
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from app.governance.model import Params, Reason
+    from app.governance.model import CoveredRecovery, Params, Reason
 
 PRIVATE: Final = "_"
 SEES_ALL: Final = frozenset({Role.OPERATOR, Role.ENGINEER, Role.AUDITOR})
@@ -92,6 +92,7 @@ class Terms:
     taking: bool = False  # a human takes the controls, and the cell has not said yet that it has heard of it
     displaced: bool = False  # a human has driven it: it goes on only under a new authorization
     asked_tick: int | None = None  # when the cell last had a human asked
+    recoveries: tuple[CoveredRecovery, ...] | None = None  # that its own newest authorization covers, as the log has it
 
     def document(self) -> dict[str, Any]:
         """Return the terms as JSON."""

@@ -444,7 +444,10 @@ class Kernel:
                 invocation,
                 status=Status.RUNNING,
                 terms=replace(
-                    invocation.terms, authorization=authorization.id, launched_at_s=authorization.issued_at_s
+                    invocation.terms,
+                    authorization=authorization.id,
+                    launched_at_s=authorization.issued_at_s,
+                    recoveries=authorization.recoveries,
                 ),
             ),
             events=(

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from app.audit.documents import documents
 from app.audit.projection import FIELDS, differences, rebuild
-from app.governance.model import EventKind, Mode, Outcome, Status, Strategy
+from app.governance.model import CoveredRecovery, EventKind, Mode, Outcome, Status, Strategy
 from app.runtime.escalation import PENDING, Escalation
 
 if TYPE_CHECKING:
@@ -55,6 +55,7 @@ def invocation_of(row: Row, stored: Invocation, events: Sequence[Event]) -> tupl
     told = {name: known[name] for name in FIELDS if name in known}
     told["status"] = Status(told["status"])
     told["outcome"] = None if told["outcome"] is None else Outcome(told["outcome"])
+    terms = replace(terms, recoveries=_covered(stored.capability, events))
     return replace(stored, **told, terms=terms), "; ".join(wrong)
 
 
@@ -100,4 +101,25 @@ def _terms_of(stored: Terms, events: Sequence[Event]) -> Terms:
         recovery_preference=None if preference is None else Strategy(preference),
         metadata=proposed["metadata"],
         version=proposed.get("capability_version"),
+    )
+
+
+def _covered(capability: str, events: Sequence[Event]) -> tuple[CoveredRecovery, ...] | None:
+    """Return what the newest authorization of a session itself covers; None where there was none."""
+    own: dict[str, Any] | None = None
+    for event in events:
+        if event.kind == EventKind.AUTHORIZATION:
+            body: dict[str, Any] = event.payload()
+            permit = body["authorization"]
+            own = permit if permit["capability"] == capability else own  # one for a human's hands covers nothing of it
+    if own is None:
+        return None
+    return tuple(
+        CoveredRecovery(
+            strategy=Strategy(one["strategy"]),
+            capability=one["capability"],
+            params=one["params"],
+            mode=Mode(one["mode"]),
+        )
+        for one in own["recoveries"]
     )

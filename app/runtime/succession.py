@@ -117,7 +117,8 @@ class Succession:
             return CONFORMS
         proposal = present.proposal(dict(present.effective or {}))
         context = self._kernel.context(present.capability, present.agent, present)
-        return departure(self._policies.get(present.policy_version), policy, proposal, context)
+        covered = present.terms.recoveries
+        return departure(self._policies.get(present.policy_version), policy, proposal, context, covered)
 
     def kept_back(self, present: Invocation) -> list[dict[str, str]]:
         """Return why nobody may let a session go on; empty where a human's word is enough."""

@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 
 from app.governance import bundle
 from app.governance.continuing import CONFORMS, GONE, Departure, departure
-from app.governance.model import AuthorityMode, Context, Mode, Proposal
+from app.governance.coverage import covered_recoveries
+from app.governance.model import AuthorityMode, Context, CoveredRecovery, Mode, Proposal
 from app.governance.policy import PolicySet
 from app.governance.policy_model import Agent, Confirmation
 from tests.governance.policy_world import context, files, proposal, shipped
@@ -57,10 +58,16 @@ def with_capability(**changes: Any) -> PolicySet:
     )
 
 
-def between(old: PolicySet | None, new: PolicySet, what: Proposal = GRASP, now: Context | None = None) -> Departure:
+def between(
+    old: PolicySet | None,
+    new: PolicySet,
+    what: Proposal = GRASP,
+    now: Context | None = None,
+    covered: tuple[CoveredRecovery, ...] | None = None,
+) -> Departure:
     """Ask as the runtime does: the agent is the one that the new policy knows."""
     now = now or context(HERE)
-    return departure(old, new, what, replace(now, agent=new.agent("planner")))
+    return departure(old, new, what, replace(now, agent=new.agent("planner")), covered)
 
 
 def codes(found: Departure) -> list[str]:
@@ -285,6 +292,48 @@ def test_departs_when_what_recovers_it_is_refused_asked_about_or_bound_tighter(t
     assert [reason.rule for reason in found.reasons] == ["organization/gently"]
     assert not found.askable
     assert between(with_rule(rule), shipped()) is CONFORMS, "it is freer by now, or was covered by nothing"
+
+
+def near(then: str, because: str = "Somebody is there.") -> PolicySet:
+    when = 'when: "world.people_count > 0"'
+    return with_rule(f"id: gently, applies_to: [release_and_retract], {when}, then: {then}, because: {because}")
+
+
+REFUSED = "id: never, applies_to: [release_and_retract], then: deny, because: It fell."
+BESIDE = context(HERE, people_count=1)
+
+
+def permitted(policy: PolicySet) -> tuple[CoveredRecovery, ...]:
+    """Return what recovers a grasp that was launched with nobody near."""
+    return covered_recoveries(policy, GRASP, context(HERE))
+
+
+@pytest.mark.parametrize("before", ["escalate", "deny"])
+def test_what_recovers_it_is_what_its_authorization_covers_whoever_has_come_near_since(before: str) -> None:
+    old, new = near(before), with_rule(REFUSED)
+    assert between(old, new, now=BESIDE) is CONFORMS, "nobody knows that it was covered"
+    found = between(old, new, now=BESIDE, covered=permitted(old))
+    assert [reason.rule for reason in found.reasons] == ["organization/never"]
+    assert not found.askable
+    uncovered = covered_recoveries(old, GRASP, BESIDE)
+    assert "release_and_retract" not in {one.capability for one in uncovered}
+    assert between(old, new, now=context(HERE), covered=uncovered) is CONFORMS, "it takes a human's word anyway"
+
+
+@pytest.mark.parametrize("before", ["escalate", "deny", "modify, set: {speed_mps: {max: 0.05}}"])
+def test_what_both_say_of_what_recovers_it_with_somebody_near_is_no_news(before: str) -> None:
+    old = near(before)
+    new = replace(old, digest="another")
+    assert between(old, new, now=BESIDE, covered=permitted(old)) is CONFORMS
+    other = near(before, because="They must not be met.")
+    found = between(old, other, now=BESIDE, covered=permitted(old))
+    assert bool(found) is not before.startswith("modify"), "it is for another reason now"
+
+
+def test_departs_when_what_recovers_it_is_asked_about_under_the_reason_it_was_bound_for() -> None:
+    old, new = near("modify, set: {speed_mps: {max: 0.05}}"), near("escalate")
+    found = between(old, new, now=BESIDE, covered=permitted(old))
+    assert [reason.rule for reason in found.reasons] == ["organization/gently"]
 
 
 def test_departs_when_what_recovers_it_is_not_enabled_here_any_more() -> None:

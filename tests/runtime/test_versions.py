@@ -65,6 +65,13 @@ ASKING = edited(
     "rules:\n",
     "rules:\n  - {id: look, applies_to: [navigate_to], then: escalate, because: Somebody looks.}\n",
 )
+RETREAT = "  - {id: no-retreat, applies_to: [release_and_retract], "
+NO_RETREAT = edited(ORGANIZATION, "rules:\n", f"rules:\n{RETREAT}then: deny, because: It falls.}}\n")
+ASKING_NEAR = edited(
+    ORGANIZATION,
+    "rules:\n",
+    f'rules:\n{RETREAT}when: "world.people_count > 0", then: escalate, because: Somebody is there.}}\n',
+)
 DROPPED = {
     name: text
     for name, text in FILES.items()
@@ -668,6 +675,34 @@ async def test_a_session_that_departs_is_told_to_hold_and_a_human_is_asked_with_
     assert refused.value.code == "resume_refused"
     closed = await runtime.desk.resolve(question.id, OPERATOR, "deny", question.digest)
     assert closed["status"] == "denied"
+
+
+@pytest.mark.parametrize("restarted", [False, True])
+async def test_a_session_is_held_for_what_may_recover_it_also_with_somebody_near_by_now(
+    house: House, restarted: bool
+) -> None:
+    house.policy = bundle.load_files(ASKING_NEAR)
+    async with house.open() as runtime:
+        cell = await HandCell(runtime).dial()
+        made = await running(runtime, cell)
+        if restarted:
+            await cell.hang_up()
+        else:
+            await held_for_its_recovery(runtime, cell)
+    if restarted:
+        async with house.open() as runtime:
+            back = replace(cell, runtime=runtime, heard=[], closed=None, invocation=made["id"], status="running")
+            await held_for_its_recovery(runtime, await back.dial())
+
+
+async def held_for_its_recovery(runtime: Runtime, cell: HandCell) -> None:
+    cell.facts["people_count"] = 1
+    await cell.state()
+    await runtime.versions.activate(await brought(runtime, NO_RETREAT), ENGINEER, "it falls")
+    await until(lambda: "escalate" in cell.ops())
+    (said,) = await bodies(runtime, "intervention")
+    assert said["code"] == "policy_changed"
+    assert "organization/no-retreat" in {item["rule"] for item in said["reasons"]}
 
 
 async def test_where_only_a_humans_word_is_missing_one_lets_the_session_go_on(runtime: Runtime, cell: HandCell) -> None:
