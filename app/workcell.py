@@ -27,7 +27,7 @@ from app.cell.link import Identity, Link
 from app.cell.loop import Lease, Outbox, TickLoop
 from app.cell.pin import KeyPin
 from app.cell.recorder import Recorder
-from app.cell.runner import close_left_open
+from app.cell.runner import close_left_open, left_latched
 from app.children import CellRuns, cell_lock
 from app.clock import wall_s
 from app.config import ConfigError, cell_terms
@@ -107,6 +107,7 @@ async def _run(settings: CellSettings) -> int:
             boot=boot,
             journal=journal,
             robot=settings.robot or ROBOT,
+            latched=left_latched(journal, latch),
             token=settings.token,
         ),
         _address(settings),

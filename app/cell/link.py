@@ -110,12 +110,16 @@ class Kept(Protocol):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Identity:
-    """Who this cell is; `boot` names this run of the process, `journal` is what its reports are numbered in."""
+    """Who this cell is; `boot` names this run of the process, `journal` is what its reports are numbered in.
+
+    `latched` is whether an earlier run left a stop: it stands until the loop says otherwise.
+    """
 
     cell: str
     boot: str
     journal: Kept
     robot: str
+    latched: bool
     token: str = field(repr=False)
 
 
@@ -260,7 +264,7 @@ class Link:
             policy_digest=self._policy_digest,
             profile=self._profile,
             invocation=state.invocation if state else None,
-            latched=state.latched if state else False,
+            latched=state.latched if state else self._identity.latched,
             journal=self._identity.journal.id,
             first_seq=self._identity.journal.first_seq,
             last_seq=self._outbox.last_seq,

@@ -124,11 +124,11 @@ class Runner:
         self._doubted = False  # something leapt, and no session has waited it out
         self._unpowered = False
         self._latch_beside = latch
-        self.latched = bool(journal.marks.get("latched"))
+        self.latched = left_latched(journal, latch)
         self.broken = str(journal.marks.get("broken") or "")  # until a reset, whoever starts the cell meanwhile
         self._broke_tick = 0
-        if latch is not None and latch.found and not self.latched:
-            self.latched, self.broken = True, LOST
+        if self.latched and not journal.marks.get("latched"):
+            self.broken = LOST
             self._record.say_anyway(telling.cell("estop", telling.CELL), marks={"latched": True, "broken": LOST})
         if self.latched:
             self._cut_power()
@@ -571,6 +571,11 @@ _SILENCE: Final[Mapping[str, Deed]] = {
     "rollback": partial(Session.roll_back, code=EXPIRED),
     "resolve_terminate": partial(Session.terminate, code=EXPIRED),
 }
+
+
+def left_latched(journal: Journal, latch: Latch | None) -> bool:
+    """Say whether an earlier run of the cell left its stop, in the journal or beside it."""
+    return bool(journal.marks.get("latched")) or (latch is not None and latch.found)
 
 
 def close_left_open(journal: Journal, record: Recorder) -> None:

@@ -14,11 +14,13 @@ import pytest
 from websockets.asyncio.server import Server, ServerConnection, serve
 from websockets.exceptions import ConnectionClosed
 
-from app import protocol
-from app.cell.journal import Entry
+from app import protocol, workcell
+from app.cell.journal import Entry, Journal
+from app.cell.latch import Latch
 from app.cell.link import Identity, Link
 from app.cell.loop import Lease, NewPolicy, Order, Outbox, TickLoop, Welcomed
 from app.cell.pin import KeyPin, LinkRefused
+from app.config import CellSettings
 from app.governance import bundle
 from app.governance.policy import PolicySet
 from app.protocol import (
@@ -167,17 +169,18 @@ async def rig(
     ready: threading.Event | None = None,
     lease_ms: int = PATIENT_MS,
     aged_ms: int = PATIENT_MS,
+    latched: bool = False,
 ) -> AsyncIterator[Rig]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("app.cell.loop.LEASE_MS", lease_ms)
         patch.setattr("app.cell.link.AGED_MS", aged_ms)
-        async with _rigged(folder, script or Script(), server_key, last_seq, ready) as cell:
+        async with _rigged(folder, script or Script(), server_key, last_seq, ready, latched) as cell:
             yield cell
 
 
 @asynccontextmanager
 async def _rigged(
-    folder: Path, script: Script, server_key: str | None, last_seq: int, ready: threading.Event | None
+    folder: Path, script: Script, server_key: str | None, last_seq: int, ready: threading.Event | None, latched: bool
 ) -> AsyncIterator[Rig]:
     server: Server = await serve(script.converse, "127.0.0.1", 0)
     port = next(iter(server.sockets)).getsockname()[1]
@@ -195,7 +198,7 @@ async def _rigged(
         return TickLoop(runner, inbox, outbox, lease, pace=1.0)
 
     link = Link(
-        Identity(cell="workcell-1", boot="boot_1", journal=shelf, robot="recorder", token="secret"),
+        Identity(cell="workcell-1", boot="boot_1", journal=shelf, robot="recorder", latched=latched, token="secret"),
         lambda: f"http://127.0.0.1:{port}",
         KeyPin(path=folder / "kernel.pub", fixed=server_key),
         build,
@@ -225,6 +228,43 @@ async def test_says_hello_is_welcomed_and_builds_its_world_from_the_policy(tmp_p
         assert [(policies.digest, key) for policies, key, _ in cell.built] == [(DIGEST, KEY)]
         await until(lambda: cell.orders(Welcomed), "the welcome reaches the runner")
         assert cell.runner.holds == []
+
+
+@pytest.mark.anyio
+async def test_says_that_an_earlier_run_left_it_latched_before_its_loop_can_and_then_what_the_loop_says(
+    tmp_path: Path,
+) -> None:
+    ready = threading.Event()
+    async with rig(tmp_path, ready=ready, latched=True) as cell:
+        await until(lambda: cell.built, "the building begins")
+        ready.set()
+        await until(lambda: cell.script.of(State), "a state from the loop")
+        await cell.script.sockets[-1].close()
+        await until(lambda: len(cell.script.of(Hello)) > 1, "another hello")
+        said = [one.latched for one in cell.script.of(Hello) if isinstance(one, Hello)]
+        assert said == [True, False], "by then it may have been reset"
+
+
+@pytest.mark.parametrize("left", ["in the journal", "beside it"])
+@pytest.mark.anyio
+async def test_a_cell_that_is_started_latched_says_so_at_once(tmp_path: Path, left: str) -> None:
+    journal = Journal(tmp_path / "journal", boot="boot_1")
+    if left == "in the journal":
+        journal.mark({"latched": True})
+    else:
+        Latch(tmp_path / "latch").keep()
+    journal.close()
+    script = Script(greet=False)
+    async with await serve(script.converse, "127.0.0.1", 0) as server:
+        port = next(iter(server.sockets)).getsockname()[1]
+        settings = CellSettings(id="workcell-1", token="secret", data=tmp_path, server=f"http://127.0.0.1:{port}")
+        running = asyncio.create_task(workcell._run(settings))
+        await until(lambda: script.of(Hello), "the hello")
+        running.cancel()
+        await asyncio.gather(running, return_exceptions=True)
+    (hello,) = script.of(Hello)
+    assert isinstance(hello, Hello)
+    assert hello.latched
 
 
 @pytest.mark.anyio
