@@ -126,10 +126,10 @@ class Runner:
         self._latch_beside = latch
         self.latched = left_latched(journal, latch)
         self.broken = str(journal.marks.get("broken") or "")  # until a reset, whoever starts the cell meanwhile
-        self._broke_tick = 0
         if self.latched and not journal.marks.get("latched"):
             self.broken = LOST
             self._record.say_anyway(telling.cell("estop", telling.CELL), marks={"latched": True, "broken": LOST})
+        self._broke_tick = 1 if self.broken else 0  # no state of this run has said so yet
         if self.latched:
             self._cut_power()
         close_left_open(journal, self._record)

@@ -1493,7 +1493,9 @@ def test_a_loop_that_breaks_leaves_the_cell_latched_whatever_starts_it_again(
     ends = [(entry.invocation, entry.body["code"]) for entry in rig.entries if entry.kind == "outcome"]
     assert ends == ([("inv-1", "loop_broken" if written else "cell_restarted")] if running else [])
     again("boot-4")
-    assert rig.runner.reset("operator", 0) is None
+    assert rig.runner.reset("operator", 0) == "broken_since", "nobody has been told yet by this run what broke"
+    rig.ticks(1)
+    assert rig.runner.reset("operator", rig.runner.view().tick) is None
     again("boot-5")
     assert (rig.runner.latched, rig.runner.view().broken) == (False, "")
 
