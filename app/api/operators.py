@@ -171,11 +171,16 @@ async def take_cell(request: Request, id: Identifier) -> Response:
 
 
 async def release(request: Request, id: Identifier) -> Response:
-    """Hand a session back: to go on from here (decided and bound anew), to be undone, or done with."""
+    """Hand a session back: to go on from here (decided and bound anew), to be undone, or done with.
+
+    Where policy has people asked about going on from here, that is refused (`resume_refused`) with a `digest`. Said
+    again with that `digest`, it approves what the reasons say; what is to be approved by then has another one.
+    """
     body = await read_body(request, ReleaseBody)
     if body.then != "end":  # which counts whatever else is said
         within_the_log(request, "after", body.after)
-    return answer(await parts_of(request).governor.release(id, caller(request), body.then, body.lease, body.after))
+    said = body.model_dump(include={"lease", "after", "digest"})
+    return answer(await parts_of(request).governor.release(id, caller(request), body.then, **said))
 
 
 async def set_profile(request: Request, id: Identifier) -> Response:

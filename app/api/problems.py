@@ -84,8 +84,8 @@ CODES: Mapping[str, tuple[int, str]] = {
 class Problem(Exception):
     """A request that is refused: a stable code, what is wrong and what would be valid.
 
-    `errors` name single fields, each `{field, message}`; `reasons` are policy's; `headers` ride along
-    (`WWW-Authenticate`, `Retry-After`).
+    `errors` name single fields, each `{field, message}`; `reasons` are policy's, and `digest` is what they are approved
+    by; `headers` ride along (`WWW-Authenticate`, `Retry-After`).
     """
 
     def __init__(
@@ -95,6 +95,7 @@ class Problem(Exception):
         *,
         errors: Sequence[Mapping[str, Any]] = (),
         reasons: Sequence[Mapping[str, Any]] = (),
+        digest: str | None = None,
         headers: Mapping[str, str] | None = None,
     ) -> None:
         """Keep the parts; status and title follow from the code."""
@@ -103,6 +104,7 @@ class Problem(Exception):
         self.detail = detail
         self.errors = tuple(errors)
         self.reasons = tuple(reasons)
+        self.digest = digest
         self.headers = dict(headers or {})
         super().__init__(f"{self.status} {code}: {detail}")
 
@@ -120,6 +122,8 @@ class Problem(Exception):
             document["errors"] = self.errors
         if self.reasons:
             document["reasons"] = self.reasons
+        if self.digest:
+            document["digest"] = self.digest
         return document
 
     def response(self, instance: str) -> Response:
@@ -171,7 +175,7 @@ def _from_forbidden(error: Forbidden) -> Problem:
 
 
 def _from_conflict(error: Conflict) -> Problem:
-    return Problem(error.code, str(error), reasons=error.reasons)
+    return Problem(error.code, str(error), reasons=error.reasons, digest=error.digest)
 
 
 def _from_policy(error: PolicyErrors) -> Problem:

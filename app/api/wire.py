@@ -208,6 +208,10 @@ class ReleaseBody(Body):
         description="By which lease it was driven. To go on or be undone by another one since then: 409.",
     )
     after: Seen = None
+    digest: Name | None = Field(
+        default=None,
+        description="The `digest` of a `resume_refused`: to go on approves what its reasons ask. By another one: 409.",
+    )
 
 
 class ResetBody(Body):

@@ -116,15 +116,6 @@ class Hands(NamedTuple):
     compared: PolicySet
 
 
-class Told(NamedTuple):
-    """That a hand-back was refused for what policy has people asked about from there, and which event says so."""
-
-    lease: str
-    approvers: int
-    digest: str  # of what is approved by handing back again
-    seq: int
-
-
 @dataclass(slots=True, kw_only=True)
 class Cell:
     """What the server knows of one cell. Times are monotonic seconds."""
@@ -172,7 +163,6 @@ class Cell:
     control: Control | None = None  # who drives it by hand
     control_at: str = ""  # since when, by the wall clock
     hands: Hands | None = None  # how, where it is a session that was taken over; as it was the last time
-    told_of: Told | None = None  # the newest: who has seen it approves that by the same word
     unrecorded: str = ""  # the lease by which it is being taken from somebody: it moves nothing yet
     arming: Arming | None = None  # the first of the two steps out of a latched stop
     resetting: int = 0  # resets that are being recorded, or wait for another one

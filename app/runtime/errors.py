@@ -106,11 +106,14 @@ class ExaminationFailed(RuntimeRefusal):
 class Conflict(RuntimeRefusal):
     """Not in the present state; `code` is one of `CONFLICTS`, `status` the HTTP status that goes with it."""
 
-    def __init__(self, code: str, message: str, *, reasons: Sequence[Mapping[str, str]] = ()) -> None:
-        """Keep the code, and the reasons where policy had any."""
+    def __init__(
+        self, code: str, message: str, *, reasons: Sequence[Mapping[str, str]] = (), digest: str | None = None
+    ) -> None:
+        """Keep the code, the reasons where policy had any, and the digest by which what it asks is approved."""
         self.code = code
         self.status = CONFLICTS[code]
         self.reasons = tuple(reasons)
+        self.digest = digest
         super().__init__(message)
 
     @classmethod

@@ -24,7 +24,7 @@ from app.runtime.hands import HELD, RETURNING, given_back
 from app.runtime.invocation import Invocation, may_see
 from app.runtime.kernel import ProfileLeft
 from app.runtime.overtaken import check_newest
-from app.runtime.readmission import RULE, not_sent, readmitted, tell_first
+from app.runtime.readmission import RULE, not_sent, readmitted, tell_first, told_by
 from app.runtime.uncut import uncut
 
 if TYPE_CHECKING:
@@ -51,7 +51,13 @@ class Handbacks:
 
     @uncut
     async def release(
-        self, invocation_id: str, principal: Principal, then: str, lease: str | None = None, after: int | None = None
+        self,
+        invocation_id: str,
+        principal: Principal,
+        then: str,
+        lease: str | None = None,
+        after: int | None = None,
+        digest: str | None = None,
     ) -> dict[str, Any]:
         """Hand a session back, to go on (`resume`), to be undone (`rollback`), or done with (`end`).
 
@@ -63,6 +69,7 @@ class Handbacks:
             then: what becomes of it.
             lease: by which they have the controls; None if they do not say. What ends it counts by whichever lease.
             after: the last `seq` of the record that they had seen; None if they do not say. What ends it counts anyway.
+            digest: of the refusal that told them what policy asks, which they approve by going on; None if of none.
 
         Raises:
             NotFound: there is none that this principal may see.
@@ -86,7 +93,7 @@ class Handbacks:
         cell.control = keep(control, monotonic_s())  # some say nothing else
         newer = await self._newer(cell)
         if after is not None:
-            await self._not_overtaken(cell, present.id, principal, after)
+            await check_newest(self.register, cell, present.id, principal, after)
         if not newer and then == "resume":  # a rollback is the cell's own to judge
             raise Conflict(
                 "facts_stale",
@@ -102,20 +109,13 @@ class Handbacks:
         cell.control = returning(keep(control, monotonic_s()))
         try:
             if then == "resume":
-                await self._resume(cell, present.id, principal, decided, after)
+                await self._resume(cell, present.id, principal, decided, digest)
             else:
                 await self._roll_back(cell, present.id, principal, decided)
         except BaseException:
             _keep(cell, control)
             raise
         return await self._returned(present.id, then)
-
-    async def _not_overtaken(self, cell: Cell, invocation: str, principal: Principal, after: int) -> None:
-        try:
-            await check_newest(self.register, cell, invocation, principal, after)
-        except Conflict:
-            cell.told_of = None  # nobody knows whether they have heard what they were told before: it is told anew
-            raise
 
     async def _newer(self, cell: Cell) -> bool:
         """Wait for the cell's next state, since a plan begins with where the robot is now; say whether there is one."""
@@ -135,18 +135,18 @@ class Handbacks:
         return await self._returned(present.id, "end")
 
     async def _resume(
-        self, cell: Cell, invocation: str, principal: Principal, decided: Moment, after: int | None
+        self, cell: Cell, invocation: str, principal: Principal, decided: Moment, said: str | None
     ) -> None:
         entry = self.register.entry(invocation)
         if entry is None:
             raise Conflict("wrong_status", f"`{invocation}` has ended")
         async with entry.lock:
+            told = await told_by(self.desk, invocation)
             present = _still_held(entry, cell)
             self.desk.ask_again(principal)
             found = await readmitted(self.desk, cell, present, principal)
             document, judgement = cell.control_document() or {}, found.judgement
-            told = await tell_first(self.desk, cell, present, found, str(document.get("lease")), after)
-            approves: dict[str, Any] = {} if told is None else {"approves": told}  # what that event says
+            approves = await tell_first(self.desk, present, found, str(document.get("lease")), told, said)
             word = self._word("release", present, principal, document, then="resume", **approves)
             drafts = [word, *judgement.recheck_events(present)]
             try:

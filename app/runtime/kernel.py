@@ -184,9 +184,9 @@ class Judgement(NamedTuple):
         mark = {} if invocation.grant is None else {"grant": invocation.grant}
         return self._events(invocation, invocation.admission, invocation.policy, mark)
 
-    def refused_back(self, session: Invocation, by: str) -> list[EventDraft]:
+    def refused_back(self, session: Invocation, by: str, bound: str) -> list[EventDraft]:
         """Return the events of deciding again on a session that somebody hands back, and has to be told of first."""
-        mark = {"recheck": True, "hand_back": {"by": by, "refused": self.asking_document()}}
+        mark = {"recheck": True, "hand_back": {"by": by, "digest": bound, "refused": self.asking_document()}}
         return self._events(session, self.admission_document(), self.policy_document(), mark)
 
     def recheck_events(self, invocation: Invocation) -> list[EventDraft]:

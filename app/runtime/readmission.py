@@ -7,12 +7,13 @@ from typing import TYPE_CHECKING, Any, Final, cast
 
 from app.audit.event import EventDraft
 from app.governance.model import EventKind, Reason
-from app.runtime.cells import Told
 from app.runtime.drafts import GRANTED, SERVER
 from app.runtime.errors import Conflict
 from app.runtime.escalation import PROFILE_CHANGED
 from app.runtime.hands import LAPSED
+from app.runtime.identity import digest
 from app.runtime.invocation import reasons_document
+from app.runtime.recollection import events_of
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -78,32 +79,38 @@ async def readmitted(desk: Questions, cell: Cell, present: Invocation, principal
     return Readmission(by=principal.name, judgement=judgement, approvals=approvals, unasked=unasked)
 
 
-async def tell_first(
-    desk: Questions, cell: Cell, present: Invocation, found: Readmission, lease: str, after: int | None
-) -> int | None:
-    """Let a hand-back count as an approval only if it was said after a refusal that told what of; return which one.
+async def told_by(desk: Questions, invocation: str) -> dict[str, int]:
+    """Return which events told whoever hands a session back of what policy asks, each by the digest of that."""
+    events = await events_of(desk.register.store, invocation=invocation, kind=EventKind.POLICY)
+    backs = [(cast("dict[str, Any]", event.payload().get("hand_back", {})), event.seq) for event in events]
+    return {back["digest"]: seq for back, seq in backs if "digest" in back}
 
-    The refusal is recorded, so `after` says whether it was seen. It counts for one lease, and for what an approval of a
-    launch is bound to.
+
+async def tell_first(
+    desk: Questions, present: Invocation, found: Readmission, lease: str, told: Mapping[str, int], said: str | None
+) -> dict[str, Any]:
+    """Let a hand-back count as an approval only if it says the digest of a refusal that told what of; return which one.
+
+    The refusal is in the record (`told`). It counts for one lease, and for what an approval of a launch is bound to.
 
     Raises:
-        Conflict: `resume_refused`, with the reasons.
+        Conflict: `resume_refused`, with the reasons and their digest.
         RecordUnavailable: nobody was told.
     """
     if (need := found.unasked) is None:
-        return None
+        return {}
     judgement = found.judgement
     now = replace(present, policy_version=judgement.policy.digest, profile=judgement.profile)
     bound = desk.bound(now, present.effective or {}, reasons_document(need.reasons))
-    told = cell.told_of
-    if told is None or (told.lease, told.approvers, told.digest) != (lease, need.approvers, bound):
-        *_, seq = await desk.register.append(judgement.refused_back(present, found.by))
-        told = cell.told_of = Told(lease=lease, approvers=need.approvers, digest=bound, seq=seq)
-    if after is None or after < told.seq:
-        again = f"hand back again, with `after` at least `{told.seq}`"
-        reasons = [why._replace(remedy=again) for why in need.reasons]  # nobody else is asked, whatever policy advises
-        raise _refused("policy has people asked about this from here: whoever hands back again approves that", reasons)
-    return told.seq
+    bound = digest({"lease": lease, "approvers": need.approvers, "bound": bound})
+    if bound not in told:
+        await desk.register.append(judgement.refused_back(present, found.by, bound))
+    elif bound == said:
+        return {"approves": told[bound]}
+    again = "hand back again, with the `digest` of this refusal"
+    reasons = [why._replace(remedy=again) for why in need.reasons]  # nobody else is asked, whatever policy advises
+    message = "policy has people asked about this from here: whoever hands back again approves that"
+    raise _refused(message, reasons, bound)
 
 
 async def not_sent(desk: Questions, cell: Cell, before: Invocation, op: str, remedy: str) -> Conflict:
@@ -124,8 +131,8 @@ async def not_sent(desk: Questions, cell: Cell, before: Invocation, op: str, rem
     return _refused(f"{why.message}: it was not sent", [why])
 
 
-def _refused(message: str, reasons: Sequence[Reason]) -> Conflict:
-    return Conflict("resume_refused", message, reasons=reasons_document(tuple(reasons)))
+def _refused(message: str, reasons: Sequence[Reason], bound: str | None = None) -> Conflict:
+    return Conflict("resume_refused", message, reasons=reasons_document(tuple(reasons)), digest=bound)
 
 
 def _gave_way(cell: Cell, present: Invocation) -> Reason:

@@ -7,6 +7,7 @@ import httpx
 import pytest
 
 from app.api.problems import MEDIA_TYPE
+from app.runtime.errors import Conflict
 from tests.api.conftest import CELL, House, eventually, open_house
 
 pytestmark = pytest.mark.anyio
@@ -206,6 +207,24 @@ async def test_says_which_grants_and_rows_hold_for_nothing(house: House) -> None
     assert after["status"] == "degraded"
     assert "`grant_forged`" in after["broken"]["grants"]
     assert "`esc_forged`: its row is not what was asked" in after["broken"]["rows"]
+
+
+async def test_a_hand_back_that_is_refused_bears_the_digest_that_the_next_one_says(
+    house: House, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    said: list[dict[str, Any]] = []
+
+    async def refused(*_: Any, **of: Any) -> None:
+        said.append(of)
+        raise Conflict("resume_refused", "people are asked about this", digest="sha256:00")
+
+    monkeypatch.setattr(house.runtime.governor, "release", refused)
+    async with house.client("operator") as operator:
+        body = {"then": "resume", "lease": "lease_1", "after": 0}
+        for digest in (None, "sha256:00"):
+            answer = await operator.post("/v1/invocations/inv_1/release", json={**body, "digest": digest})
+            assert (answer.status_code, answer.json()["digest"]) == (409, "sha256:00")
+    assert said == [{"lease": "lease_1", "after": 0, "digest": digest} for digest in (None, "sha256:00")]
 
 
 @pytest.mark.parametrize("route", ["/v1/escalations/{id}/resolve", "/v1/invocations/{id}/resume"])

@@ -252,6 +252,40 @@ def test_handing_back_approves_nothing_before_there_was_time_to_read_what(
     until(lambda: server.cell()["control"] is None, what="a session that was handed back")
 
 
+@pytest.mark.parametrize("word", ["reload", "roll back"])
+def test_handing_back_approves_nothing_that_is_not_on_the_screen_any_more(
+    server: ServerProcess, people: People, floor: Floor, granted: str, word: str
+) -> None:
+    session = floor.grasp_slowly()
+    person = people.sit(server)
+    person.expects("409.*/release|ERR_FAILED")
+    offered(person, DESK).click()
+    expect(person.page.get_by_text(LET_GO)).to_be_visible()
+    assert server.post(f"/v1/grants/{granted}/revoke", key="operator_2").is_success
+    back, asks = person.button("Agent goes on"), person.alert("Medium risk needs approval in human-shared.")
+    back.click()
+    expect(asks).to_be_visible()
+    if word == "reload":
+        person.page.reload()
+    else:
+        person.page.route("**/release", lambda route: route.abort())
+        person.button("Roll back").click()
+        expect(person.alert("it is not known whether this arrived")).to_be_visible()
+        person.page.unroute("**/release")
+    expect(asks).to_have_count(0)
+    back.click()
+    expect(asks).to_be_visible()
+    assert server.cell()["control"]["invocation"] == session["id"]
+    back.click()
+    until(lambda: server.cell()["control"] is None, what="a session that was handed back")
+    (word_back,) = [
+        event["body"]
+        for event in server.get(f"/v1/invocations/{session['id']}/trace")["items"]
+        if event["body"].get("then") == "resume"
+    ]
+    assert word_back["approves"]
+
+
 @pytest.mark.parametrize("anew", [False, True], ids=["stays", "loads anew"])
 def test_handing_back_approves_nothing_where_the_refusal_that_told_what_was_lost(
     server: ServerProcess, people: People, floor: Floor, granted: str, anew: bool

@@ -10,6 +10,8 @@ from typing import Any
 
 import pytest
 
+from app.audit.errors import RecordUnavailable
+from app.audit.event import EventDraft
 from app.governance import control
 from app.governance.model import GrantScope
 from app.runtime.assembly import Runtime
@@ -170,7 +172,7 @@ async def test_what_is_handed_back_names_the_grant_it_began_by_only_while_that_s
     if revoked:
         await runtime.desk.grants.revoke(given["id"], OPERATOR)
     told = await asked_first(runtime, cell, made["id"], "approval_required") if revoked else None
-    await handed_back(runtime, cell, made["id"], after=told)
+    await handed_back(runtime, cell, made["id"], told)
     assert permit(cell)["approvals"] == ([] if revoked else [f"grant:{given['id']}"]) + [OPERATOR.name]
     trace = await runtime.governor.trace(made["id"], ENGINEER)
     named = [event["body"].get("grant") for event in trace if event["kind"] == "authorization"]
@@ -230,7 +232,7 @@ async def test_a_hand_back_is_not_sent_when_its_grant_ends_while_it_is_recorded(
     told = [event["body"] for event in await runtime.governor.trace(session, ENGINEER) if event["kind"] == "cell"]
     assert told == [{"what": "not_sent", "op": "resume", "code": "grant_ended"}]
     again = await asked_first(runtime, cell, session, "approval_required")
-    await handed_back(runtime, cell, session, after=again)
+    await handed_back(runtime, cell, session, again)
     assert permit(cell)["approvals"] == [OPERATOR.name]
 
 
@@ -279,25 +281,26 @@ async def test_an_answer_after_a_lapse_is_not_sent_when_its_grant_ends_while_it_
     assert codes(asked) == {"not_gone_on"}
 
 
-async def asked_first(runtime: Runtime, cell: HandCell, invocation: str, *codes: str, after: int | None = None) -> int:
+async def asked_first(runtime: Runtime, cell: HandCell, invocation: str, *codes: str, digest: str | None = None) -> str:
+    """Hand back, having seen all of the record, and return the digest of the refusal, which is recorded once."""
+    seen = runtime.store.size
     async with stating(cell, status="running"):
         with pytest.raises(Conflict, match="whoever hands back again approves that") as refused:
-            await runtime.governor.release(invocation, OPERATOR, "resume", after=after)
+            await runtime.governor.release(invocation, OPERATOR, "resume", after=seen, digest=digest)
     assert refused.value.code == "resume_refused"
     assert [why["code"] for why in refused.value.reasons] == list(codes)
+    assert {why["remedy"] for why in refused.value.reasons} == {"hand back again, with the `digest` of this refusal"}
     assert permit(cell)["capability"] == "takeover"
-    newest = (await runtime.governor.trace(invocation, ENGINEER))[-1]
-    assert {why["remedy"] for why in refused.value.reasons} == {
-        f"hand back again, with `after` at least `{newest['seq']}`"
-    }
-    assert (newest["kind"], newest["body"]["outcome"]) == ("policy", "escalate" if "look" in codes else "allow")
-    said = newest["body"]["hand_back"]
+    told = [event for event in await runtime.governor.trace(invocation, ENGINEER) if event["kind"] == "policy"]
+    told = [event["body"] for event in told if event["body"].get("hand_back", {}).get("digest") == refused.value.digest]
+    assert [body["outcome"] for body in told] == ["escalate" if "look" in codes else "allow"]
+    said = told[0]["hand_back"]
     assert (said["by"], [why["code"] for why in said["refused"]["reasons"]]) == (OPERATOR.name, list(codes))
-    return newest["seq"]
+    return said["digest"]
 
 
-async def handed_back(runtime: Runtime, cell: HandCell, invocation: str, after: int | None = None) -> None:
-    back = asyncio.ensure_future(runtime.governor.release(invocation, OPERATOR, "resume", after=after))
+async def handed_back(runtime: Runtime, cell: HandCell, invocation: str, digest: str | None = None) -> None:
+    back = asyncio.ensure_future(runtime.governor.release(invocation, OPERATOR, "resume", digest=digest))
     async with stating(cell, status="running"):
         await cell.expect("launch", len(cell.all("launch")) + 1)
     await cell.report("status", invocation, status="running", before="recovering", reason="handed_back")
@@ -329,12 +332,15 @@ async def test_what_policy_has_come_to_ask_is_approved_by_whom_a_refused_hand_ba
     await put_in_force(runtime, LOOK)
     await taken(runtime, cell, session)
     told = await asked_first(runtime, cell, session, "look", "approval_required")
-    for unseen in (None, told - 1):  # a word that was sent twice, or before the refusal was seen
-        assert await asked_first(runtime, cell, session, "look", "approval_required", after=unseen) == told
-    await handed_back(runtime, cell, session, after=told)
+    seq = runtime.store.size
+    for unseen in (None, told[:-1]):  # a word that was sent twice, or before the refusal was seen
+        assert await asked_first(runtime, cell, session, "look", "approval_required", digest=unseen) == told
+    await handed_back(runtime, cell, session, told)
     assert permit(cell)["approvals"] == [OPERATOR.name]
     trace = await runtime.governor.trace(session, ENGINEER)
-    assert [event["body"].get("approves") for event in trace if event["body"].get("op") == "release"] == [told]
+    assert [event["body"].get("approves") for event in trace if event["body"].get("op") == "release"] == [seq]
+    (refusal,) = [event for event in trace if event["seq"] == seq]
+    assert (refusal["kind"], refusal["body"]["hand_back"]["digest"]) == ("policy", told)
 
 
 async def test_what_one_hand_back_was_told_of_is_told_again_at_the_next(runtime: Runtime, cell: HandCell) -> None:
@@ -342,15 +348,38 @@ async def test_what_one_hand_back_was_told_of_is_told_again_at_the_next(runtime:
     await put_in_force(runtime, LOOK)
     await taken(runtime, cell, session)
     told = await asked_first(runtime, cell, session, "look", "approval_required")
-    await handed_back(runtime, cell, session, after=told)
+    await handed_back(runtime, cell, session, told)
     await taken(runtime, cell, session)
-    assert await asked_first(runtime, cell, session, "look", "approval_required", after=told) > told
+    assert await asked_first(runtime, cell, session, "look", "approval_required", digest=told) != told
+
+
+async def test_what_nobody_was_told_of_in_the_record_is_approved_by_no_digest(
+    runtime: Runtime, cell: HandCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One may know it all the same: from a refusal that could not be recorded."""
+    session = await approved(runtime, cell, OPERATOR)
+    await put_in_force(runtime, LOOK)
+    await taken(runtime, cell, session)
+    unrecorded: list[EventDraft] = []
+
+    async def full(drafts: list[EventDraft]) -> None:
+        unrecorded.extend(drafts)
+        raise RecordUnavailable("disk full")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(runtime.register, "append", full)
+        async with stating(cell, status="running"):
+            with pytest.raises(RecordUnavailable):
+                await runtime.governor.release(session, OPERATOR, "resume")
+    unread = unrecorded[-1].body["hand_back"]["digest"]
+    assert await asked_first(runtime, cell, session, "look", "approval_required", digest=unread) == unread
+    await handed_back(runtime, cell, session, unread)
 
 
 async def test_what_a_hand_back_was_told_of_is_told_again_to_whom_others_have_overtaken(
     runtime: Runtime, cell: HandCell
 ) -> None:
-    """The refusal that told them may be lost, and the one that was heard since says nothing of it."""
+    """The refusal that told them may be lost, and the one that was heard since says nothing of it, nor a digest."""
     session = await approved(runtime, cell, OPERATOR)
     await put_in_force(runtime, LOOK)
     await taken(runtime, cell, session)
@@ -363,10 +392,9 @@ async def test_what_a_hand_back_was_told_of_is_told_again_to_whom_others_have_ov
     async with stating(cell, status="running"):
         with pytest.raises(Conflict) as refused:
             await runtime.governor.release(session, OPERATOR, "resume", after=seen)
-    assert refused.value.code == "overtaken"
-    again = await asked_first(runtime, cell, session, "look", "approval_required", after=runtime.store.size)
-    assert again > told
-    await handed_back(runtime, cell, session, after=again)
+    assert (refused.value.code, refused.value.digest) == ("overtaken", None)
+    assert await asked_first(runtime, cell, session, "look", "approval_required") == told
+    await handed_back(runtime, cell, session, told)
 
 
 async def test_an_approval_of_what_was_carried_is_none_of_what_a_grant_answers_for_since(
@@ -441,9 +469,9 @@ async def test_what_a_refused_hand_back_told_of_one_load_approves_none_of_anothe
     session = await carrying(runtime, cell, "mug_1", LOOK)
     told = await asked_first(runtime, cell, session, "look", "approval_required")
     await holding(cell, "driver_1")
-    again = await asked_first(runtime, cell, session, "look", "approval_required", after=told)
-    assert again > told
-    await handed_back(runtime, cell, session, after=again)
+    again = await asked_first(runtime, cell, session, "look", "approval_required", digest=told)
+    assert again != told
+    await handed_back(runtime, cell, session, again)
 
 
 async def test_of_two_equal_answers_after_a_lapse_none_counts_for_what_was_not_asked(

@@ -102,6 +102,17 @@ describe('a server that holds its answers back', () => {
     for (const call of [api.restrain('a', 'pause'), api.setProfile('a', 'b', 'c')]) await expect(call).rejects.toThrow(UNTOLD);
   });
 
+  it('says of which refusal a hand-back is said', async () => {
+    const said: unknown[] = [];
+    const api = new Api('secret', (_, how) => {
+      said.push(JSON.parse(how?.body as string));
+      return Promise.resolve(new Response('{}'));
+    });
+    await api.release('inv_1', 'resume', { lease: 'lease_1', after: 7, digest: 'sha256:00' });
+    await api.release('inv_1', 'end', { lease: 'lease_1', after: undefined });
+    expect(said).toEqual([{ then: 'resume', lease: 'lease_1', after: 7, digest: 'sha256:00' }, { then: 'end', lease: 'lease_1' }]);
+  });
+
   it('says why policy refused something', async () => {
     const problem = { title: '', status: 409, code: 'resume_refused', detail: 'people are asked about this', reasons: [{ rule: 'r', code: 'c', message: 'a person is near', remedy: '' }] };
     const api = new Api('secret', () => Promise.resolve(new Response(JSON.stringify(problem), { status: 409 })));

@@ -89,3 +89,7 @@ class ProblemDocument(Document):
     instance: str
     errors: list[FieldError] | None = None
     reasons: list[ReasonDocument] | None = None
+    digest: str | None = Field(
+        default=None,
+        description="Of a hand-back: said with the next one, it approves what the reasons ask people about.",
+    )

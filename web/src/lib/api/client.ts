@@ -197,9 +197,12 @@ export class Api {
   takeOver = (id: string, after: number): Promise<Control> => this.call('POST', `/v1/invocations/${seg(id)}/takeover`, { after });
   /** Takes the controls of a cell in which nothing runs. */
   takeCell = (cell: string, after: number): Promise<Control> => this.call('POST', `/v1/cells/${seg(cell)}/takeover`, { after });
-  /** `lease` is what it was driven by, `after` what was seen: what a link holds back hands nothing back that was taken, or paused, since. */
-  release = (id: string, then: 'resume' | 'rollback' | 'end', lease?: string, after?: number): Promise<Invocation> =>
-    this.call('POST', `/v1/invocations/${seg(id)}/release`, { then, lease, after }, { restrains: then === 'end' });
+  /**
+   * `lease` is what it was driven by, `after` what was seen: what a link holds back hands nothing back that was taken, or paused, since.
+   * `digest` is of the refusal that was read: to go on approves what that asks people about.
+   */
+  release = (id: string, then: 'resume' | 'rollback' | 'end', of: { lease?: string | undefined; after?: number | undefined; digest?: string | undefined } = {}): Promise<Invocation> =>
+    this.call('POST', `/v1/invocations/${seg(id)}/release`, { then, ...of }, { restrains: then === 'end' });
 }
 
 function seg(id: string): string {

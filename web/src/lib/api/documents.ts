@@ -270,6 +270,8 @@ export interface Problem {
   /** Of a policy each has its file and line. */
   errors?: { field: string; message: string; file?: string; line?: number }[];
   reasons?: Reason[];
+  /** Said with the next hand-back, it approves what the reasons ask people about. */
+  digest?: string;
 }
 
 /** Telemetry of a finished session as columns by channel; times are the channel `time_s`. */

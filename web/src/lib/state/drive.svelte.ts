@@ -1,6 +1,5 @@
 const KEY = 'reins.lease';
 const KEY_N = 'reins.lease.n';
-const KEY_UNTOLD = 'reins.lease.untold';
 /** More than is said between the number that is stored and the end of the page: it lets go of what it held. */
 const LAST_WORDS = 100;
 /** A page that is being left holds its lock for a moment longer. */
@@ -33,26 +32,9 @@ class Drive {
     return this.n;
   }
 
-  /**
-   * What a hand-back is said of: what is seen, or was when one was sent of which nobody has heard since. Of a refusal that
-   * the record has by now nobody was told then, also where the page was loaded anew meanwhile.
-   */
-  handsBack(seen: number): number {
-    const kept = sessionStorage.getItem(KEY_UNTOLD);
-    if (kept !== null) return Number(kept);
-    sessionStorage.setItem(KEY_UNTOLD, String(seen));
-    return seen;
-  }
-
-  /** Whoever handed back has heard what came of it. */
-  heard(): void {
-    sessionStorage.removeItem(KEY_UNTOLD);
-  }
-
   /** Remembers the lease across a reload of this tab, which is no reason to lose the controls. */
   took(lease: string): void {
     this.letGo();
-    this.heard(); // by another lease it is told anew
     this.lease = lease;
     sessionStorage.setItem(KEY, lease);
     void this.hold(lease);
@@ -61,7 +43,6 @@ class Drive {
   forget(): void {
     this.letGo();
     this.lease = null;
-    this.heard();
     sessionStorage.removeItem(KEY);
   }
 
