@@ -143,10 +143,10 @@ class Handbacks:
         async with entry.lock:
             told = await told_by(self.desk, invocation)
             present = _still_held(entry, cell)
-            self.desk.ask_again(principal)
             found = await readmitted(self.desk, cell, present, principal)
             document, judgement = cell.control_document() or {}, found.judgement
             approves = await tell_first(self.desk, present, found, str(document.get("lease")), told, said)
+            self.desk.ask_again(principal)  # last: all of it was waited for
             word = self._word("release", present, principal, document, then="resume", **approves)
             drafts = [word, *judgement.recheck_events(present)]
             try:
