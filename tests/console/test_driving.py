@@ -559,7 +559,7 @@ def test_whoever_signs_out_with_the_controls_is_told_what_becomes_of_them_and_wh
     person.page.get_by_role("button", name="Sign out", exact=True).click()
     expect(told).to_contain_text("the robot comes to rest, and a session that you took over waits for a person.")
     until(lambda: server.cell()["control"] is None, what="controls that nobody has")
-    assert server.get(f"/v1/invocations/{session['id']}")["status"] == "escalated"
+    server.await_status(session["id"], "escalated")
 
 
 @pytest.fixture
