@@ -140,8 +140,24 @@ describe('the keyboard', () => {
     expect([press('c', 0, true), press('a', 300), press(' ', 2_000), press('Shift', 3_000), press('A', 3_500), ran]).toEqual([false, true, true, false, true, []]);
     expect([press('.', 3_600), ran]).toEqual([true, ['.']]);
     expect([press('a', 5_600), ran]).toEqual([true, ['.', 'a']]);
-    expect([press('c', 6_000, true), press('Escape', 6_100), press('a', 6_200), ran]).toEqual([false, false, true, ['.', 'a', 'a']]);
+    expect([press('c', 5_700, true), press('d', 5_800), press('a', 5_900), press('a', 6_800), press('a', 7_800), press('a', 8_000), ran.splice(0)]).toEqual([false, true, true, true, true, true, ['.', 'a', 'a']]);
+    expect([press('c', 8_100, true), press('Escape', 8_200), press('a', 8_300), ran]).toEqual([false, false, true, ['a']]);
     now.mockRestore();
+  });
+
+  it('knows what is typed by more than its signs: a correction, an input method, a line break, a letter that chooses in a list', () => {
+    const [keys, ran] = [new Keys(), new Array<string>()];
+    for (const one of ['a', 'd', 'ArrowDown']) keys.on(one, one, () => ran.push(one));
+    const press = (name: string, more = {}): boolean => keys.press(key(name, more), false);
+    for (const last of ['Backspace', 'Delete', 'ArrowLeft', 'Enter', 'Dead', 'Process', 'Unidentified', 'AltGraph', 'CapsLock', 'Control']) {
+      keys.press(key('c'), true);
+      expect([keys.press(key(last), true), press('a'), press('Backspace'), press('CapsLock'), press('a'), ran]).toEqual([false, true, true, false, true, []]);
+      // What is held goes on, and presses nothing that has the focus by now; with a modifier it is the browser's.
+      expect([press('a', { repeat: true }), press(' ', { repeat: true }), press('Enter'), press('Enter', { ctrlKey: true })]).toEqual([true, true, true, false]);
+      expect([press('ArrowDown'), press('a'), ran.splice(0)]).toEqual([true, true, ['ArrowDown', 'a']]);
+    }
+    expect([keys.press(key('w'), false, true), press('a'), ran]).toEqual([false, true, []]);
+    expect([keys.pressBeside(key('x'), ['d']), keys.pressBeside(key('d'), ['d']), press('a'), ran]).toEqual([true, true, true, ['d', 'a']]);
   });
 
   it('stops once for a key that is held, and swallows the rest', () => {

@@ -50,8 +50,14 @@ export function pressedBySpace(target: { tagName?: string; type?: string } | nul
   return ['BUTTON', 'SUMMARY', 'SELECT'].includes(target?.tagName ?? '');
 }
 
-/** A sign that follows within so long upon one that was typed is typed as well, unless one went elsewhere meanwhile. */
+/** What follows within so long upon what was typed is typed as well, unless one went elsewhere meanwhile. */
 const GOES_ON_MS = 2_000;
+/** These lead out of a field. */
+const LEAVES: ReadonlySet<string> = new Set(['Tab', 'Escape']);
+/** These are pressed in the midst of typing, and are no signs: an input method that composes names no key but itself. */
+const WITHIN: ReadonlySet<string> = new Set(['Enter', 'Backspace', 'Delete', 'Dead', 'Process', 'Unidentified']);
+/** These say nothing of where one is. */
+const WITH_OTHERS: ReadonlySet<string> = new Set(['Shift', 'Control', 'Alt', 'AltGraph', 'Meta', 'CapsLock']);
 
 /** The key that stops, from anywhere. */
 export const STOP_KEY = '.';
@@ -64,9 +70,14 @@ export function isStop(event: KeyLike, typing: boolean): boolean {
   return typing ? event.ctrlKey || event.metaKey : true;
 }
 
+/** Whether it is pressed without what makes it the browser's or the system's. */
+function isBare({ ctrlKey, metaKey, altKey }: KeyLike): boolean {
+  return !ctrlKey && !metaKey && !altKey;
+}
+
 /** Says whether a key press may be a shortcut at all. */
 export function mayBeShortcut(event: KeyLike, letters: boolean): boolean {
-  return !letters && !event.repeat && !event.ctrlKey && !event.metaKey && !event.altKey && !event.defaultPrevented;
+  return !letters && !event.repeat && isBare(event) && !event.defaultPrevented;
 }
 
 /**
@@ -74,7 +85,7 @@ export function mayBeShortcut(event: KeyLike, letters: boolean): boolean {
  * on, that of the stop, too.
  */
 export function opensSearch(event: KeyLike, typing: boolean): boolean {
-  return !typing && (event.key === '/' || event.key === "'") && !event.ctrlKey && !event.metaKey && !event.altKey;
+  return !typing && (event.key === '/' || event.key === "'") && isBare(event);
 }
 
 function named({ key }: { key: string }): string {
@@ -86,8 +97,9 @@ export class Keys {
   private stop: () => void = () => undefined;
   private covers = 0;
   private readonly reserved: ReadonlySet<string>[] = [];
-  /** When a sign was typed last; NaN where a finger came after it, or another key than that for a capital. */
+  /** When something was typed last; NaN where one went elsewhere since, by a finger or a key. */
   private typedMs = NaN;
+  private sign = '';
   /** Whether single characters count at all (WCAG 2.1.4); the stop always does. */
   single = true;
 
@@ -150,21 +162,25 @@ export class Keys {
       if (!event.repeat) this.stop();
       return true;
     }
-    const typed = this.typed(event, typing);
+    if (this.typed(event, letters)) return true;
     if (!mayBeShortcut(event, letters)) return false;
-    if (typed) return true;
     if (this.ignores(event) || this.isReserved(event)) return false;
     const wanted = named(event);
     const counts = (known: Shortcut): boolean => known.key === wanted && (!this.covered || known.everywhere);
     return this.shortcuts.findLast((known) => counts(known) && known.run() !== false) !== undefined;
   }
 
-  /** Whether a sign is typed, be it into a field that the page took away: then it is no shortcut, and presses nothing. */
-  private typed({ key }: KeyLike, typing: boolean): boolean {
+  /** Whether it is typed into a field, or a list, that the page took away: then it is no shortcut, and presses nothing. */
+  private typed(event: KeyLike, letters: boolean): boolean {
+    const { key } = event;
+    if (WITH_OTHERS.has(key)) return false;
     const nowMs = performance.now();
-    const so = key.length === 1 && (typing || nowMs - this.typedMs < GOES_ON_MS);
-    if (key !== 'Shift') this.typedMs = so ? nowMs : NaN;
-    return so;
+    const goesOn = nowMs - this.typedMs < GOES_ON_MS && (key.length === 1 || WITHIN.has(key));
+    if (letters) this.typedMs = LEAVES.has(key) ? NaN : nowMs;
+    else if (!goesOn) this.typedMs = NaN;
+    else if (key !== this.sign) this.typedMs = nowMs; // no word goes on by one sign: whoever presses a shortcut again and again is heard
+    this.sign = key;
+    return goesOn && !letters && isBare(event);
   }
 
   /**
@@ -172,7 +188,8 @@ export class Keys {
    * presses one means the answer. Only `restraining` shortcuts are heard there. Returns true when the key was taken.
    */
   pressBeside(event: KeyLike, restraining: readonly string[]): boolean {
-    if (this.ignores(event) || event.key.length !== 1 || event.key === ' ' || event.ctrlKey || event.metaKey || event.altKey) return false;
+    if (this.ignores(event) || event.key.length !== 1 || event.key === ' ' || !isBare(event)) return false;
+    this.typedMs = NaN; // it was no choice
     if (restraining.includes(event.key.toLowerCase())) this.press(event, false);
     return true;
   }
