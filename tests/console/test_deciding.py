@@ -201,6 +201,7 @@ def test_an_edit_is_checked_again_under_what_the_agent_said_and_all_three_versio
     # In the moment of the edit nothing is known of it yet: a key says so, and is not kept for later.
     force.evaluate(
         """(one) => { one.value = '45'; one.dispatchEvent(new Event('input', { bubbles: true }));
+            dispatchEvent(new PointerEvent('pointerdown')); // or it would be typed
             dispatchEvent(new KeyboardEvent('keydown', { key: 'a' })); }"""
     )
     told = card(person).get_by_role("status").filter(has_text="Nothing was approved")

@@ -151,6 +151,26 @@ def test_what_one_goes_on_writing_when_another_verdict_came_first_answers_no_que
     assert server.get(f"/v1/invocations/{asked['id']}")["status"] == "awaiting_approval"
 
 
+def test_who_corrects_a_note_or_pauses_in_it_as_another_verdict_comes_answers_no_question_with_what_follows(
+    server: ServerProcess, people: People, floor: Floor, stopped: dict[str, Any]
+) -> None:
+    until(floor.unlatched, what="a cell that no stop latches")
+    with server.client() as client:
+        assert client.put(f"{CELL}/profile", json={"profile": "human-shared"}).is_success
+    person = people.sit(server)
+    asked = floor.ask()
+    queue(person).get_by_role("button", name=re.compile("Drive to")).click()
+    expect(person.button(re.compile("^Approve"))).to_be_enabled()
+    queue(person).get_by_label("Note for the record").press_sequentially("It was x")
+    person.press("Backspace")
+    person.page.wait_for_timeout(2_500)  # who writes thinks, longer than what is typed goes on
+    judge(server, kept(server, stopped), "accepted")
+    expect(queue(person)).to_contain_text("Your note was not recorded: “It was”")
+    person.page.keyboard.type("anear")
+    assert person.page.evaluate("new Promise((done) => setTimeout(done, 100, true))")  # for what the page would send
+    assert server.get(f"/v1/invocations/{asked['id']}")["status"] == "awaiting_approval"
+
+
 def test_a_note_that_turns_its_line_around_is_marked_wherever_it_is_shown(
     server: ServerProcess, people: People, stopped: dict[str, Any]
 ) -> None:

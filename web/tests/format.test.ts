@@ -102,6 +102,17 @@ describe('words', () => {
   });
 });
 
+/** Has keys listen to a window; returns how to have it tell something, which says whether that was taken. */
+function ears(keys: Keys): (type: string, event: object) => boolean {
+  const heard = new Map<string, (event: object) => void>();
+  keys.attach({ addEventListener: (type: string, listen: (event: object) => void) => heard.set(type, listen) } as unknown as Window);
+  return (type, told) => {
+    const event = { type, ...told, preventDefault: vi.fn(), stopPropagation: vi.fn() };
+    heard.get(type)?.(event);
+    return event.preventDefault.mock.calls.length > 0;
+  };
+}
+
 describe('the keyboard', () => {
   it('stops with a full stop from anywhere, and while typing with Ctrl or Cmd', () => {
     expect([isStop(key('.'), false), isStop(key('.'), true), isStop(key('.', { ctrlKey: true }), true), isStop(key('.', { metaKey: true }), true)]).toEqual([true, false, true, true]);
@@ -112,13 +123,8 @@ describe('the keyboard', () => {
 
   it('leaves none to a search that a browser opens by one, and that would have the next, the stop among them', () => {
     const keys = new Keys();
-    let heard: (event: unknown) => void = () => undefined;
-    keys.attach({ addEventListener: (_: string, listen: typeof heard) => (heard = listen) } as unknown as Window);
-    const left = (name: string, tagName = 'BODY', more = {}): boolean => {
-      const event = { ...key(name, more), target: { tagName }, preventDefault: vi.fn(), stopPropagation: vi.fn() };
-      heard(event);
-      return event.preventDefault.mock.calls.length === 0;
-    };
+    const hear = ears(keys);
+    const left = (name: string, tagName = 'BODY', more = {}): boolean => !hear('keydown', { ...key(name, more), target: { tagName } });
     expect([left('/'), left("'"), left('/', 'BUTTON')]).toEqual([false, false, false]); // Firefox opens its quick find
     expect([left('/', 'INPUT'), left("'", 'TEXTAREA'), left('/', 'BODY', { ctrlKey: true }), left('ArrowDown')]).toEqual([true, true, true, true]);
   });
@@ -158,6 +164,32 @@ describe('the keyboard', () => {
     }
     expect([keys.press(key('w'), false, true), press('a'), ran]).toEqual([false, true, []]);
     expect([keys.pressBeside(key('x'), ['d']), keys.pressBeside(key('d'), ['d']), press('a'), ran]).toEqual([true, true, true, ['d', 'a']]);
+  });
+
+  it('counts from when the page took a field away, however long before that the last sign was typed', () => {
+    const [keys, ran, now] = [new Keys(), new Array<string>(), vi.spyOn(performance, 'now')];
+    keys.on('a', 'approve', () => ran.push('a'));
+    const hear = ears(keys);
+    const [field, button] = [{ tagName: 'TEXTAREA' }, { tagName: 'BUTTON' }];
+    const at = (ms: number, type: string, target: object, name = ''): boolean => (now.mockReturnValue(ms), hear(type, { ...key(name), target }));
+    const leaves = { Tab: () => at(9_000, 'keydown', field, 'Tab'), finger: () => at(9_000, 'pointerdown', button), page: () => at(9_000, 'pointerdown', field) };
+    for (const [by, leave] of Object.entries(leaves)) {
+      at(1_000, 'pointerdown', field);
+      at(1_000, 'focusin', field);
+      leave();
+      at(30_000, 'focusout', field);
+      at(31_900, 'keydown', button, 'a');
+      expect([by, ran.splice(0)]).toEqual([by, by === 'page' ? [] : ['a']]);
+    }
+    at(38_000, 'focusin', field);
+    hear('keydown', { ...key('.', { ctrlKey: true }), target: field });
+    at(38_100, 'focusout', field);
+    at(38_200, 'keydown', button, 'a');
+    expect(ran.splice(0)).toEqual(['a']); // who stops has done with typing
+    at(40_000, 'focusout', button);
+    at(41_000, 'keydown', button, 'a');
+    expect(ran).toEqual(['a']);
+    now.mockRestore();
   });
 
   it('stops once for a key that is held, and swallows the rest', () => {

@@ -50,7 +50,7 @@ export function pressedBySpace(target: { tagName?: string; type?: string } | nul
   return ['BUTTON', 'SUMMARY', 'SELECT'].includes(target?.tagName ?? '');
 }
 
-/** What follows within so long upon what was typed is typed as well, unless one went elsewhere meanwhile. */
+/** What follows within so long upon what was typed, or upon its field being gone, is typed as well, unless one went elsewhere meanwhile. */
 const GOES_ON_MS = 2_000;
 /** These lead out of a field. */
 const LEAVES: ReadonlySet<string> = new Set(['Tab', 'Escape']);
@@ -97,7 +97,7 @@ export class Keys {
   private stop: () => void = () => undefined;
   private covers = 0;
   private readonly reserved: ReadonlySet<string>[] = [];
-  /** When something was typed last; NaN where one went elsewhere since, by a finger or a key. */
+  /** When one was last at what takes letters; NaN where one went elsewhere since, by a finger or a key. */
   private typedMs = NaN;
   private sign = '';
   /** Whether single characters count at all (WCAG 2.1.4); the stop always does. */
@@ -160,6 +160,7 @@ export class Keys {
   press(event: KeyLike, typing: boolean, letters = typing): boolean {
     if (isStop(event, typing)) {
       if (!event.repeat) this.stop();
+      if (typing) this.typedMs = NaN; // whoever stops has done with typing
       return true;
     }
     if (this.typed(event, letters)) return true;
@@ -181,6 +182,12 @@ export class Keys {
     else if (key !== this.sign) this.typedMs = nowMs; // no word goes on by one sign: whoever presses a shortcut again and again is heard
     this.sign = key;
     return goesOn && !letters && isBare(event);
+  }
+
+  /** What takes letters has got the focus, or has lost it: by a finger, or by a key that leads out of it, or else by the page. */
+  private attend(event: FocusEvent): void {
+    if (!takesLetters(event.target as HTMLElement | null)) return;
+    if (event.type === 'focusin' || !Number.isNaN(this.typedMs)) this.typedMs = performance.now();
   }
 
   /**
@@ -206,8 +213,9 @@ export class Keys {
     };
     const end = new AbortController();
     const how = { capture: true, signal: end.signal };
-    target.addEventListener('pointerdown', () => (this.typedMs = NaN), how);
+    target.addEventListener('pointerdown', (event) => (this.typedMs = takesLetters(event.target as HTMLElement | null) ? performance.now() : NaN), how);
     target.addEventListener('keydown', listen, how);
+    for (const change of ['focusin', 'focusout'] as const) target.addEventListener(change, (event) => this.attend(event), how);
     return () => end.abort();
   }
 }
