@@ -81,6 +81,33 @@ def test_no_letter_decides_a_question_while_its_reader_drives(
     assert floor.settled(asked["id"])["status"] == "denied"
 
 
+def test_the_key_that_drove_answers_nothing_where_the_controls_are_lost_while_it_is_held(
+    server: ServerProcess, people: People, floor: Floor
+) -> None:
+    person = people.sit(server, init=LISTENING)
+    asked = floor.ask()
+    expect(person.page.get_by_role("article", name="Grasp mug_1")).to_be_visible()
+    offered(person, DESK).click()
+    expect(person.page.get_by_text(LET_GO)).to_be_visible()
+    cdp = person.page.context.new_cdp_session(person.page)
+
+    def key(what: str, **more: object) -> None:  # as on a French keyboard, where the key that turns says “a”
+        cdp.send("Input.dispatchKeyEvent", {"type": what, "key": "a", "code": "KeyQ", **more})
+
+    key("rawKeyDown")
+    until(lambda: person.page.evaluate(PUSHES) > 0, what="a key that drives")
+    assert server.post(f"/v1/invocations/{server.cell()['control']['invocation']}/cancel").is_success
+    expect(person.page.get_by_role("group", name="Hold to run")).to_have_count(0)
+    for _ in range(15):  # whoever turns sees that it turns no more
+        key("rawKeyDown", autoRepeat=True)
+        person.page.wait_for_timeout(100)
+    key("keyUp")
+    key("rawKeyDown")
+    key("keyUp")
+    person.page.wait_for_timeout(100)  # for what the page would send
+    assert server.get(f"/v1/invocations/{asked['id']}")["status"] == "awaiting_approval"
+
+
 @pytest.mark.parametrize("after_ms", SOON_MS)
 def test_an_approval_pressed_twice_on_a_phone_rolls_nothing_back(
     server: ServerProcess, people: People, floor: Floor, after_ms: int

@@ -166,6 +166,25 @@ describe('the keyboard', () => {
     expect([keys.pressBeside(key('x'), ['d']), keys.pressBeside(key('d'), ['d']), press('a'), ran]).toEqual([true, true, true, ['d', 'a']]);
   });
 
+  it('keeps a key that drove from answering until it has been let go for a while, however long it was held', () => {
+    const [keys, ran, now] = [new Keys(), new Array<string>(), vi.spyOn(performance, 'now')];
+    keys.on('a', 'approve', () => ran.push('a'));
+    const hear = ears(keys);
+    const at = (ms: number, type: string, more = {}): boolean => (now.mockReturnValue(ms), hear(type, { ...key('a', { code: 'KeyQ' }), target: { tagName: 'BODY' }, ...more }));
+    const free = keys.reserve(...DRIVING_KEYS, ...DECIDING_KEYS);
+    at(0, 'keydown');
+    free(1_000);
+    for (const ms of [900, 1_800, 2_700]) at(ms, 'keydown', { repeat: true });
+    at(3_600, 'keyup');
+    at(4_500, 'keydown');
+    at(4_600, 'keyup');
+    expect(ran).toEqual([]);
+    at(5_500, 'keydown', { code: 'KeyA' }); // another key is not what drove, and puts nothing off
+    at(5_650, 'keydown');
+    expect(ran).toEqual(['a']);
+    now.mockRestore();
+  });
+
   it('counts from when the page took a field away, however long before that the last sign was typed', () => {
     const [keys, ran, now] = [new Keys(), new Array<string>(), vi.spyOn(performance, 'now')];
     keys.on('a', 'approve', () => ran.push('a'));

@@ -96,7 +96,7 @@ export class Keys {
   private readonly shortcuts: Shortcut[] = [];
   private stop: () => void = () => undefined;
   private covers = 0;
-  private readonly reserved: ReadonlySet<string>[] = [];
+  private reserved: readonly { kept: ReadonlySet<string>; untilMs: number; stillMs: number }[] = [];
   /** When one was last at what takes letters; NaN where one went elsewhere since, by a finger or a key. */
   private typedMs = NaN;
   private sign = '';
@@ -123,19 +123,24 @@ export class Keys {
 
   /**
    * Keeps keys, by their place (`KeyboardEvent.code`) or by their letter, from being shortcuts, the stop excepted: what
-   * turns a robot on one keyboard is the letter that approves on another. Returns how to take it back.
+   * turns a robot on one keyboard is the letter that approves on another. Returns how to take it back so long after the
+   * last of those places was held or pressed: whoever loses a robot holds on, and presses once more.
    */
-  reserve(...some: readonly string[]): () => void {
-    const kept = new Set(some);
-    this.reserved.push(kept);
-    return () => {
-      const at = this.reserved.indexOf(kept);
-      if (at !== -1) this.reserved.splice(at, 1);
+  reserve(...some: readonly string[]): (stillMs?: number) => void {
+    const one = { kept: new Set(some), untilMs: Infinity, stillMs: 0 };
+    this.reserved = [...this.reserved, one];
+    return (stillMs = 0) => {
+      one.stillMs = stillMs;
+      one.untilMs = performance.now() + stillMs;
     };
   }
 
-  private isReserved(event: KeyLike): boolean {
-    return this.reserved.some((kept) => kept.has(event.code) || kept.has(named(event)));
+  /** Hears a key that may be a reserved one, pressed, held or let go; returns whether it is. */
+  private keeps(event: KeyLike): boolean {
+    const nowMs = performance.now();
+    this.reserved = this.reserved.filter(({ untilMs }) => nowMs < untilMs);
+    for (const one of this.reserved) if (one.untilMs < Infinity && one.kept.has(event.code)) one.untilMs = nowMs + one.stillMs;
+    return this.reserved.some(({ kept }) => kept.has(event.code) || kept.has(named(event)));
   }
 
   /** The newest registration of a key that takes it counts; returns how to take it back. */
@@ -163,9 +168,9 @@ export class Keys {
       if (typing) this.typedMs = NaN; // whoever stops has done with typing
       return true;
     }
+    const kept = this.keeps(event);
     if (this.typed(event, letters)) return true;
-    if (!mayBeShortcut(event, letters)) return false;
-    if (this.ignores(event) || this.isReserved(event)) return false;
+    if (kept || !mayBeShortcut(event, letters) || this.ignores(event)) return false;
     const wanted = named(event);
     const counts = (known: Shortcut): boolean => known.key === wanted && (!this.covered || known.everywhere);
     return this.shortcuts.findLast((known) => counts(known) && known.run() !== false) !== undefined;
@@ -215,6 +220,7 @@ export class Keys {
     const how = { capture: true, signal: end.signal };
     target.addEventListener('pointerdown', (event) => (this.typedMs = takesLetters(event.target as HTMLElement | null) ? performance.now() : NaN), how);
     target.addEventListener('keydown', listen, how);
+    target.addEventListener('keyup', (event) => this.keeps(event), how);
     for (const change of ['focusin', 'focusout'] as const) target.addEventListener(change, (event) => this.attend(event), how);
     return () => end.abort();
   }
