@@ -108,6 +108,28 @@ def test_the_key_that_drove_answers_nothing_where_the_controls_are_lost_while_it
     assert server.get(f"/v1/invocations/{asked['id']}")["status"] == "awaiting_approval"
 
 
+@pytest.mark.parametrize("held", [False, True], ids=["pressed again and again", "held"])
+def test_who_scrolls_by_space_as_a_question_comes_denies_nothing_by_it(
+    server: ServerProcess, people: People, floor: Floor, held: bool
+) -> None:
+    person = people.sit(server)
+    person.page.locator("#page").focus()
+    asked, deny = floor.ask(), person.button(re.compile("^Deny"))
+    expect(person.page.get_by_role("article", name="Grasp mug_1")).to_be_visible()
+    for _ in range(8):
+        person.page.keyboard.down(" ")
+        if not held:
+            person.page.keyboard.up(" ")
+        person.page.wait_for_timeout(200)
+    expect(deny).to_be_focused()
+    person.page.keyboard.up(" ")
+    expect(person.alert("Why? Choose a reason")).to_have_count(0)
+    person.page.wait_for_timeout(1_000)  # by then it is no scrolling any more
+    person.press(" ")
+    expect(person.alert("Why? Choose a reason")).to_be_visible()
+    assert server.get(f"/v1/invocations/{asked['id']}")["status"] == "awaiting_approval"
+
+
 @pytest.mark.parametrize("after_ms", SOON_MS)
 def test_an_approval_pressed_twice_on_a_phone_rolls_nothing_back(
     server: ServerProcess, people: People, floor: Floor, after_ms: int

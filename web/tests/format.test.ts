@@ -185,6 +185,23 @@ describe('the keyboard', () => {
     now.mockRestore();
   });
 
+  it('lets Space and Enter press nothing that got the focus while they were held, or while one scrolled', () => {
+    const [keys, now] = [new Keys(), vi.spyOn(performance, 'now')];
+    const hear = ears(keys);
+    const [page, button, other, field] = ['MAIN', 'BUTTON', 'BUTTON', 'TEXTAREA'].map((tagName) => ({ tagName }));
+    const at = (ms: number, target: object | undefined, name = ' ', more = {}): boolean => (now.mockReturnValue(ms), hear('keydown', { ...key(name, { code: name, ...more }), target }));
+    const held = { repeat: true };
+    expect([at(0, page), at(500, page, ' ', held), at(550, button, ' ', held), at(600, button, ' ', held), at(900, button), at(2_000, button)]).toEqual([false, false, true, true, true, false]);
+    expect([at(2_100, button, 'Enter'), at(2_200, button, 'Enter', held), at(2_300, other, 'Enter', held), at(2_400, other, 'Enter')]).toEqual([false, false, true, false]);
+    for (const between of [() => at(3_100, page, 'Tab'), () => hear('pointerdown', { target: page })]) {
+      at(3_000, page);
+      between();
+      expect(at(3_200, button)).toBe(false);
+    }
+    expect([at(4_000, page), at(4_100, field), at(4_200, field, ' ', held)]).toEqual([false, false, false]);
+    now.mockRestore();
+  });
+
   it('counts from when the page took a field away, however long before that the last sign was typed', () => {
     const [keys, ran, now] = [new Keys(), new Array<string>(), vi.spyOn(performance, 'now')];
     keys.on('a', 'approve', () => ran.push('a'));

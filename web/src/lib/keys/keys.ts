@@ -59,6 +59,9 @@ const WITHIN: ReadonlySet<string> = new Set(['Enter', 'Backspace', 'Delete', 'De
 /** These say nothing of where one is. */
 const WITH_OTHERS: ReadonlySet<string> = new Set(['Shift', 'Control', 'Alt', 'AltGraph', 'Meta', 'CapsLock']);
 
+/** Whoever scrolls by Space does so again within so long. */
+const SCROLLS_MS = 1_000;
+
 /** The key that stops, from anywhere. */
 export const STOP_KEY = '.';
 
@@ -100,6 +103,8 @@ export class Keys {
   /** When one was last at what takes letters; NaN where one went elsewhere since, by a finger or a key. */
   private typedMs = NaN;
   private sign = '';
+  /** The key that came down last, and on what. */
+  private last: { code: string; on: HTMLElement | null; ms: number } | null = null;
   /** Whether single characters count at all (WCAG 2.1.4); the stop always does. */
   single = true;
 
@@ -189,6 +194,26 @@ export class Keys {
     return goesOn && !letters && isBare(event);
   }
 
+  /** Whether what has the focus by now is not what Space or Enter was meant to press. */
+  private strays(event: KeyLike, on: HTMLElement | null): boolean {
+    const so = (event.key === ' ' || event.key === 'Enter') && !takesLetters(on) && this.cameFrom(event, on);
+    this.last = { code: event.code, on: so ? (this.last?.on ?? null) : on, ms: performance.now() };
+    return so;
+  }
+
+  /** Whether a key came down on something else than this, and is held; or was pressed a moment ago where it scrolls. */
+  private cameFrom({ code, repeat }: KeyLike, on: HTMLElement | null): boolean {
+    const { last } = this;
+    if (last === null || last.on === on) return last === null && repeat;
+    if (repeat) return true;
+    return last.code === code && !pressedBySpace(last.on) && last.on?.tagName !== 'A' && performance.now() - last.ms < SCROLLS_MS;
+  }
+
+  private pointed(at: HTMLElement | null): void {
+    this.typedMs = takesLetters(at) ? performance.now() : NaN;
+    this.last = null;
+  }
+
   /** What takes letters has got the focus, or has lost it: by a finger, or by a key that leads out of it, or else by the page. */
   private attend(event: FocusEvent): void {
     if (!takesLetters(event.target as HTMLElement | null)) return;
@@ -211,14 +236,14 @@ export class Keys {
     const listen = (event: KeyboardEvent): void => {
       const target = event.target as HTMLElement | null;
       const typing = isTyping(target);
-      if (this.press(event, typing, takesLetters(target))) {
+      if (this.strays(event, target) || this.press(event, typing, takesLetters(target))) {
         event.preventDefault();
         event.stopPropagation();
       } else if (opensSearch(event, typing)) event.preventDefault();
     };
     const end = new AbortController();
     const how = { capture: true, signal: end.signal };
-    target.addEventListener('pointerdown', (event) => (this.typedMs = takesLetters(event.target as HTMLElement | null) ? performance.now() : NaN), how);
+    target.addEventListener('pointerdown', (event) => this.pointed(event.target as HTMLElement | null), how);
     target.addEventListener('keydown', listen, how);
     target.addEventListener('keyup', (event) => this.keeps(event), how);
     for (const change of ['focusin', 'focusout'] as const) target.addEventListener(change, (event) => this.attend(event), how);
