@@ -119,6 +119,9 @@ describe('the keyboard', () => {
     const composing = { code: 'Period', ctrlKey: true };
     expect([isStop(key('Process', composing), true), isStop(key('Process', { ...composing, ctrlKey: false }), true)]).toEqual([true, false]);
     expect(isStop(key('Process', { ...composing, code: 'Comma' }), true)).toBe(false);
+    // On a keyboard that is switched to another script, the full stop is printed beside a letter of it; one of Latin has it elsewhere.
+    for (const letter of ['ю', 'Ю', 'ץ', 'ز', '。']) expect([letter, isStop(key(letter, { code: 'Period' }), false), isStop(key(letter, { code: 'Period' }), true), isStop(key(letter, composing), true)]).toEqual([letter, true, false, true]);
+    expect([isStop(key('ç', { code: 'Period' }), false), isStop(key('v', { code: 'Period' }), false), isStop(key('ю', { code: 'Comma' }), false), isStop(key('Dead', { code: 'Period' }), false)]).toEqual([false, false, false, false]);
   });
 
   it('leaves none to a search that a browser opens by one, and that would have the next, the stop among them', () => {

@@ -64,12 +64,13 @@ const SCROLLS_MS = 1_000;
 
 /** The key that stops, from anywhere. */
 export const STOP_KEY = '.';
+const LAST_LATIN = '\u024f';
 
 /** Says whether a key press is the emergency stop: `.` anywhere, with Ctrl or Cmd while typing. */
 export function isStop(event: KeyLike, typing: boolean): boolean {
-  // An input method that is composing names no key: the one where the sign is on most keyboards counts then.
-  const composing = event.key === 'Process' && event.code === 'Period';
-  if (event.key !== STOP_KEY && !composing) return false;
+  // An input method that is composing names no key, and another script than Latin has a letter where its keyboards show the sign as well.
+  const there = event.code === 'Period' && (event.key === 'Process' || (event.key.length === 1 && event.key > LAST_LATIN));
+  if (event.key !== STOP_KEY && !there) return false;
   return typing ? event.ctrlKey || event.metaKey : true;
 }
 
