@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from itertools import product
 
 import pytest
@@ -106,6 +106,40 @@ def test_the_key_that_drove_answers_nothing_where_the_controls_are_lost_while_it
     key("keyUp")
     person.page.wait_for_timeout(100)  # for what the page would send
     assert server.get(f"/v1/invocations/{asked['id']}")["status"] == "awaiting_approval"
+
+
+def test_what_is_held_is_let_go_where_a_menu_or_a_list_opens_that_has_the_next_keys(
+    server: ServerProcess, people: People, floor: Floor
+) -> None:
+    person = people.sit(server, init=LISTENING)
+    offered(person, DESK).click()
+    expect(person.page.get_by_text(LET_GO)).to_be_visible()
+    keyboard, pad = person.page.keyboard, person.button("Base back, hold to run")
+    moving = "window.jogs.at(-1).base.some(Boolean)"
+    opens: list[Callable[[], object]] = [
+        lambda: person.region("Drive by hand").get_by_role("heading", name="Drive by hand").click(button="right"),
+        lambda: person.page.get_by_label("Cell", exact=True).click(),
+    ]
+    for open_it in opens:
+        keyboard.down("ArrowDown")
+        until(lambda: person.page.evaluate(moving), what="a key that drives")
+        open_it()
+        until(lambda: not person.page.evaluate(moving), what="a key that was let go of")
+        keyboard.down("ArrowDown")  # it is held still
+        person.page.wait_for_timeout(200)
+        assert not person.page.evaluate(moving)
+        keyboard.up("ArrowDown")
+        person.press("Escape")
+        person.region("Drive by hand").get_by_role("heading", name="Drive by hand").click()
+    # A finger that stays on the pad opens none.
+    pad.hover()
+    person.page.mouse.down()
+    until(lambda: person.page.evaluate(moving), what="a pad that drives")
+    pad.dispatch_event("contextmenu")
+    person.page.wait_for_timeout(200)
+    assert person.page.evaluate(moving)
+    person.page.mouse.up()
+    until(lambda: not person.page.evaluate(moving), what="a pad that was let go of")
 
 
 @pytest.mark.parametrize("held", [False, True], ids=["pressed again and again", "held"])
