@@ -109,9 +109,9 @@ class Handbacks:
         cell.control = returning(keep(control, monotonic_s()))
         try:
             if then == "resume":
-                await self._resume(cell, present.id, principal, decided, digest)
+                await self._resume(cell, control, principal, decided, digest)
             else:
-                await self._roll_back(cell, present.id, principal, decided)
+                await self._roll_back(cell, control, principal, decided)
         except BaseException:
             _keep(cell, control)
             raise
@@ -135,17 +135,19 @@ class Handbacks:
         return await self._returned(present.id, "end")
 
     async def _resume(
-        self, cell: Cell, invocation: str, principal: Principal, decided: Moment, said: str | None
+        self, cell: Cell, control: Control, principal: Principal, decided: Moment, said: str | None
     ) -> None:
+        invocation = control.invocation
         entry = self.register.entry(invocation)
         if entry is None:
             raise Conflict("wrong_status", f"`{invocation}` has ended")
         async with entry.lock:
             told = await told_by(self.desk, invocation)
-            present = _still_held(entry, cell)
+            present = _still_held(entry, cell, control)
             found = await readmitted(self.desk, cell, present, principal)
+            _still_held(entry, cell, control)  # again: that was waited for
             document, judgement = cell.control_document() or {}, found.judgement
-            approves = await tell_first(self.desk, present, found, str(document.get("lease")), told, said)
+            approves = await tell_first(self.desk, present, found, control.lease, told, said)
             self.desk.ask_again(principal)  # last: all of it was waited for
             word = self._word("release", present, principal, document, then="resume", **approves)
             drafts = [word, *judgement.recheck_events(present)]
@@ -160,12 +162,13 @@ class Handbacks:
                 remedy = "hand back again, roll it back, or end it"
                 raise await not_sent(self.desk, cell, present, "resume", remedy) from error
 
-    async def _roll_back(self, cell: Cell, invocation: str, principal: Principal, decided: Moment) -> None:
+    async def _roll_back(self, cell: Cell, control: Control, principal: Principal, decided: Moment) -> None:
+        invocation = control.invocation
         entry = self.register.entry(invocation)
         if entry is None:
             raise Conflict("wrong_status", f"`{invocation}` has ended")
         async with entry.lock:
-            present, document = _still_held(entry, cell), cell.control_document() or {}
+            present, document = _still_held(entry, cell, control), cell.control_document() or {}
             self.desk.ask_again(principal)
             word = self._word("release", present, principal, document, then="rollback")
             terms = replace(present.terms, undone_by=principal.name)
@@ -231,16 +234,16 @@ class Handbacks:
             raise Conflict("cell_offline", f"the cell `{cell.id}` is away: nobody can drive it")
 
 
-def _still_held(entry: Entry, cell: Cell) -> Invocation:
+def _still_held(entry: Entry, cell: Cell, control: Control) -> Invocation:
     """Return a session as it is now that nobody else records anything of it.
 
     Raises:
-        Conflict: `wrong_status`, it has ended meanwhile; `not_taken_over`, its controls were let go of.
+        Conflict: `wrong_status`, it has ended meanwhile; `not_taken_over`, this lease was let go of meanwhile.
     """
     present = entry.newest
     if present.status not in SESSION:
         raise Conflict("wrong_status", f"`{present.id}` has ended")
-    if not cell.driven(present.id):
+    if cell.control is None or cell.control.lease != control.lease:
         raise Conflict("not_taken_over", f"the controls of `{present.id}` were let go of meanwhile")
     return present
 

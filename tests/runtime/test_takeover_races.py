@@ -10,6 +10,7 @@ import pytest
 
 from app.clock import monotonic_s
 from app.governance.control import LAPSE_S, Phase
+from app.governance.model import EventKind
 from app.runtime.assembly import Runtime
 from app.runtime.errors import Forbidden
 
@@ -235,6 +236,46 @@ async def test_what_was_said_by_one_lease_hands_back_none_that_was_given_while_t
     async with stating(cell):
         assert (await refused(back)).code == "overtaken"
     assert (cell.ops(), len(cell.all("launch"))) == ([], 2)
+
+
+@pytest.mark.parametrize(
+    ("then", "waiting"), [("resume", "its turn"), ("resume", "what is read"), ("rollback", "its turn")]
+)
+async def test_nobody_hands_back_what_another_has_taken_while_that_was_waited_for(
+    runtime: Runtime, cell: HandCell, driving: str, monkeypatch: pytest.MonkeyPatch, then: str, waiting: str
+) -> None:
+    """Who fell silent has the controls no more, and who has them by now hands nothing back."""
+    await runtime.governor.take_over(driving, OPERATOR)
+    await cell.report("launch", driving, capability="takeover")
+    place, entry = runtime.fleet.cell(CELL), runtime.register.entry(driving)
+    assert entry is not None
+    go_on = asyncio.Event()
+    if waiting == "its turn":
+        await entry.lock.acquire()  # something of it is being recorded
+    else:
+        events = runtime.store.events
+
+        async def slow(**of: Any) -> Any:
+            if of.get("kind") == EventKind.AUTHORIZATION:  # who approved it
+                await go_on.wait()
+            return await events(**of)
+
+        monkeypatch.setattr(runtime.store, "events", slow)
+    back = asyncio.ensure_future(runtime.governor.release(driving, OPERATOR, then))
+    async with stating(cell):
+        await until(lambda: place.control is not None and place.control.phase is Phase.RETURNING)
+        assert place.control is not None
+        place.control = replace(place.control, heard_s=monotonic_s() - LAPSE_S - 0.1)
+        taking = asyncio.ensure_future(runtime.governor.take_over(driving, OPERATOR_2))
+        await until(lambda: place.control is not None and place.control.holder == OPERATOR_2.name)
+        go_on.set()
+        if waiting == "its turn":
+            entry.lock.release()
+        assert (await refused(back)).code == "not_taken_over"
+        assert (await taking)["holder"] == OPERATOR_2.name
+    assert (set(cell.ops()), permit(cell)["capability"]) == ({"let_go"}, "takeover")
+    assert place.control is not None
+    assert (place.control.holder, place.control.phase) == (OPERATOR_2.name, Phase.HELD)
 
 
 async def test_a_rollback_by_hand_is_overtaken_by_what_others_say_while_the_cell_is_waited_for(
