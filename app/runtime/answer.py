@@ -307,8 +307,11 @@ class Answer:
         """Let a session go on that a human drove and left: what it does is decided again, and bound anew."""
         present = self._invocation
         found = await readmitted(self._questions, cell, present, self._principal)
-        if found.unasked is not None and _unsaid(found.unasked, self._escalation):
-            await self._ask_more(found.unasked)
+        carried = self._kernel.carried(present, self._escalation.effective)
+        if found.unasked is not None and (
+            _unsaid(found.unasked, self._escalation) or carried != self._escalation.carried
+        ):
+            await self._ask_more(found.unasked, carried)
         judgement = found.judgement
         drafts = [self._event("approve", closed), *judgement.recheck_events(present)]
         try:
@@ -326,8 +329,8 @@ class Answer:
             raise await not_sent(self._questions, cell, present, "approve", remedy) from error
         return closed
 
-    async def _ask_more(self, need: ApprovalNeed) -> NoReturn:
-        """Ask also about what policy has people asked from here, and the question does not say.
+    async def _ask_more(self, need: ApprovalNeed, carried: str | None) -> NoReturn:
+        """Ask also about what policy has people asked from here, and the question does not say, or not of this load.
 
         Raises:
             Conflict: `digest_mismatch`, always.
@@ -335,8 +338,8 @@ class Answer:
         """
         now, present = self._register.now(), self._escalation
         reasons = [*present.reasons, *(why for why in reasons_document(need.reasons) if why not in present.reasons)]
-        bound = bound_digest(self._invocation, present.effective, reasons, present.phase)
-        asked = present.evolve(now, reasons=reasons, digest=bound, acknowledged=())
+        bound = bound_digest(self._invocation, present.effective, reasons, present.phase, carried=carried)
+        asked = present.evolve(now, reasons=reasons, digest=bound, carried=carried, acknowledged=())
         shown = self._invocation.evolve(now, escalation=asked.reference())
         await self._questions.commit([escalation_event(asked)], asked, shown)
         raise _asked_anew(reasons)

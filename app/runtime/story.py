@@ -191,7 +191,7 @@ class Story:
         same = [why["code"] for why in told] == [why["code"] for why in question.reasons]
         if version.terms.asked_tick == event.tick or same:
             return question.evolve(at, reasons=told)
-        bound = bound_digest(version, question.effective, told, question.phase)
+        bound = bound_digest(version, question.effective, told, question.phase, carried=question.carried)
         return question.evolve(at, reasons=told, digest=bound, acknowledged=())
 
     def _answered_meanwhile(self, version: Invocation, event: UpEvent) -> bool:

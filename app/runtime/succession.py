@@ -426,7 +426,8 @@ class Succession:
         told, over = self._desk.departed.get(invocation.id, []), self._desk.conformed.get(invocation.id, [])
         kept = [why for why in question.reasons if why not in (*told, *over, FORMER_HELD)]
         reasons = [*kept, *told] or [FORMER_HELD]
-        bound = bound_digest(replace(invocation, policy_version=policy), question.effective, reasons, question.phase)
+        under, carried = replace(invocation, policy_version=policy), question.carried
+        bound = bound_digest(under, question.effective, reasons, question.phase, carried=carried)
         asked = question.evolve(
             now,
             reasons=reasons,

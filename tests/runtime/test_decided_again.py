@@ -474,6 +474,30 @@ async def test_what_a_refused_hand_back_told_of_one_load_approves_none_of_anothe
     await handed_back(runtime, cell, session, again)
 
 
+async def test_what_is_asked_of_one_load_after_a_lapse_lets_none_other_go_on(runtime: Runtime, cell: HandCell) -> None:
+    session = await carrying(runtime, cell, "mug_1", LOOK)
+    await cell.report("status", session, status="escalated", reason="control_lapsed")
+    await cell.report("escalation", session, reason="control_lapsed", failure="taken_over")
+    await until(lambda: (asked := runtime.desk.pending_for(session)) is not None and "look" in codes(asked))
+    launched, said = len(cell.all("launch")), set[str]()
+    for thing in ("mug_1", "driver_1", "mug_1"):
+        await holding(cell, thing)
+        question = runtime.desk.pending_for(session)
+        assert question is not None
+        with pytest.raises(Conflict) as refused:
+            await runtime.desk.resolve(question.id, OPERATOR, "approve", question.digest)
+        assert refused.value.code == "digest_mismatch"
+        asked = runtime.desk.pending_for(session)
+        assert asked is not None
+        assert (asked.carried, len(cell.all("launch"))) == (thing, launched)
+        assert {"control_lapsed", "look", "approval_required"} <= codes(asked)
+        said.add(asked.digest)
+    assert len(said) == 2
+    await runtime.desk.resolve(question.id, OPERATOR, "approve", asked.digest)
+    await cell.expect("launch", launched + 1)
+    assert permit(cell)["approvals"] == [OPERATOR.name]
+
+
 async def test_of_two_equal_answers_after_a_lapse_none_counts_for_what_was_not_asked(
     runtime: Runtime, cell: HandCell
 ) -> None:
