@@ -391,7 +391,7 @@ class Fleet:
         cell.journal = hello.journal  # another one counts for itself, and those before it stay known
         cell.attachment = attachment
         cell.replaced = present is not None
-        cell.state = None
+        cell.state = cell.arming = None  # what was armed was so by what an earlier run may have said
         cell.reset = ""
         if present is not None:
             self.loosen(cell, "server")  # the lease ended with the link, whose `leave` comes too late now

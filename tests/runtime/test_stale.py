@@ -417,6 +417,23 @@ async def test_a_reset_that_was_armed_leaves_no_stop_that_the_cell_set_by_itself
     assert not (await runtime.governor.reset(CELL, OPERATOR))["latched"]
 
 
+async def test_a_reset_that_was_armed_leaves_no_stop_of_a_run_of_the_cell_that_began_since(
+    runtime: Runtime, cell: HandCell
+) -> None:
+    """Each run counts its ticks anew: one of the run before is of nothing that this one has said."""
+    cell.trip(tick=50)
+    await cell.state(tick=50)
+    code = runtime.governor.arm_reset(CELL, OPERATOR)["arming"]["code"]
+    await cell.hang_up()
+    cell.boot, cell.closed, cell.tripped = "boot-2", None, 1
+    await cell.dial()
+    await cell.state(tick=1)
+    with pytest.raises(Conflict) as refused:
+        await runtime.governor.reset(CELL, OPERATOR, code)
+    assert (refused.value.code, cell.all("reset"), cell.latched) == ("not_armed", [], True)
+    assert not (await runtime.governor.reset(CELL, OPERATOR))["latched"]
+
+
 async def test_two_resets_at_once_are_heard_one_after_the_other(runtime: Runtime, cell: HandCell) -> None:
     await runtime.governor.estop(CELL, AGENT)
     both = await asyncio.gather(
