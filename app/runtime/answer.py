@@ -284,8 +284,7 @@ class Answer:
             raise Conflict("ending", f"the session is coming to its end after `{word}`: it cannot go on")
         if not self._fleet.attached(cell):
             raise Conflict("cell_offline", f"the cell `{cell.id}` is away: it cannot be told to go on")
-        if cell.driven(self._invocation.id):  # whoever took over has answered what was asked
-            raise Conflict("control_held", f"somebody drives `{cell.id}` by hand; valid: they hand back")
+        _not_driven(cell, self._invocation)
         self._register.check_undamaged()
         decided = cell.moment
         if reasons := self._questions.kept_back(self._invocation):
@@ -307,6 +306,8 @@ class Answer:
         """Let a session go on that a human drove and left: what it does is decided again, and bound anew."""
         present = self._invocation
         found = await readmitted(self._questions, cell, present, self._principal)
+        self._questions.ask_again(self._principal)  # again, as what follows: that was waited for
+        _not_driven(cell, present)
         carried = self._kernel.carried(present, self._escalation.effective)
         if found.unasked is not None and (
             _unsaid(found.unasked, self._escalation) or carried != self._escalation.carried
@@ -367,6 +368,11 @@ class Answer:
             invocation=self._invocation.id,
             body={"decision": decision, "escalation": escalation.public(), "comment": self._comment, **edited},
         )
+
+
+def _not_driven(cell: Cell, invocation: Invocation) -> None:
+    if cell.driven(invocation.id):  # whoever took over has answered what was asked
+        raise Conflict("control_held", f"somebody drives `{cell.id}` by hand; valid: they hand back")
 
 
 def _unsaid(need: ApprovalNeed, shown: Escalation) -> bool:

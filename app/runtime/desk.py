@@ -380,15 +380,6 @@ class Desk(Questions):
         shown = (ended.escalation or {}).get("id") == closed.id
         return [ended.evolve(now, escalation=closed.reference())] if shown else []
 
-    def ask_again(self, principal: Principal) -> None:
-        """Refuse a word on which something moves, and which had to wait, of somebody who may say it no more by now.
-
-        Raises:
-            Forbidden: `role_forbidden`.
-        """
-        if not self.grants.may_give(principal.name):
-            raise Forbidden.withdrawn(principal.name)
-
     async def watch_deadlines(self) -> None:
         """Close questions when their time is over, for ever."""
         while True:

@@ -17,7 +17,7 @@ from app.governance.authority import waiting
 from app.governance.model import Reason
 from app.protocol import Human
 from app.runtime.drafts import reason
-from app.runtime.errors import Conflict
+from app.runtime.errors import Conflict, Forbidden
 from app.runtime.escalation import (
     APPROVAL,
     NEVER_S,
@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from app.audit.event import EventDraft, RowWrite
     from app.governance.model import ApprovalNeed
     from app.runtime.fleet import Fleet
-    from app.runtime.invocation import Invocation
+    from app.runtime.invocation import Invocation, Principal
     from app.runtime.kernel import Kernel
     from app.runtime.register import Register
 
@@ -158,6 +158,15 @@ class Questions:
     def bound(self, invocation: Invocation, effective: Mapping[str, Any], why: Sequence[Mapping[str, str]]) -> str:
         """Return the digest that approvals of a launch for these reasons are bound to, as the world is now."""
         return bound_digest(invocation, effective, why, carried=self.kernel.carried(invocation, effective))
+
+    def ask_again(self, principal: Principal) -> None:
+        """Refuse a word on which something moves, and which had to wait, of somebody who may say it no more by now.
+
+        Raises:
+            Forbidden: `role_forbidden`.
+        """
+        if not self.grants.may_give(principal.name):
+            raise Forbidden.withdrawn(principal.name)
 
     def hold(self, *versions: Escalation) -> None:
         """Take newest versions that are recorded: a pending one waits for its answer, others are done."""

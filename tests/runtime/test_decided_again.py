@@ -13,9 +13,9 @@ import pytest
 from app.audit.errors import RecordUnavailable
 from app.audit.event import EventDraft
 from app.governance import control
-from app.governance.model import GrantScope
+from app.governance.model import EventKind, GrantScope
 from app.runtime.assembly import Runtime
-from app.runtime.errors import Conflict
+from app.runtime.errors import Conflict, RuntimeRefusal
 from app.runtime.escalation import Escalation
 from app.runtime.grant import GrantRequest
 from app.runtime.invocation import Principal, ProposalRequest
@@ -496,6 +496,43 @@ async def test_what_is_asked_of_one_load_after_a_lapse_lets_none_other_go_on(run
     await runtime.desk.resolve(question.id, OPERATOR, "approve", asked.digest)
     await cell.expect("launch", launched + 1)
     assert permit(cell)["approvals"] == [OPERATOR.name]
+
+
+@pytest.mark.parametrize("meanwhile", ["withdrawn", "driven"])
+async def test_what_a_hand_left_goes_on_by_nobody_who_is_late_by_the_time_that_is_decided(
+    house: House, runtime: Runtime, cell: HandCell, monkeypatch: pytest.MonkeyPatch, meanwhile: str
+) -> None:
+    session = await approved(runtime, cell, OPERATOR)
+    await taken(runtime, cell, session)
+    await cell.report("status", session, status="escalated", reason="control_lapsed")
+    await cell.report("escalation", session, reason="control_lapsed", failure="taken_over")
+    await cell.state(status="escalated")
+    left, launched = runtime.desk.pending_for(session), len(cell.all("launch"))
+    assert left is not None
+    events, reached, go_on = runtime.store.events, asyncio.Event(), asyncio.Event()
+
+    async def slow(**of: Any) -> Any:
+        if of.get("kind") == EventKind.AUTHORIZATION:  # who approved it
+            reached.set()
+            await go_on.wait()
+        return await events(**of)
+
+    monkeypatch.setattr(runtime.store, "events", slow)
+    answering = asyncio.ensure_future(runtime.desk.resolve(left.id, OPERATOR, "approve", left.digest))
+    await reached.wait()
+    taking = None
+    if meanwhile == "withdrawn":
+        house.withdrawn.add(OPERATOR.name)
+    else:
+        taking = asyncio.ensure_future(runtime.governor.take_over(session, OPERATOR_2))
+        await until(lambda: runtime.fleet.cell(CELL).driven(session))
+    go_on.set()
+    with pytest.raises(RuntimeRefusal) as refused:
+        await answering
+    assert refused.value.code == ("role_forbidden" if taking is None else "control_held")
+    if taking is not None:
+        await taking
+    assert [permit(cell)["capability"], len(cell.all("launch"))] == ["takeover", launched + (taking is not None)]
 
 
 async def test_of_two_equal_answers_after_a_lapse_none_counts_for_what_was_not_asked(
