@@ -25,11 +25,13 @@ export function leanFonts(): Plugin {
   };
 }
 
-/** `U+0-FF, U+131, U+20??` as a string of all of them. */
+/** `U+0-FF, U+131, U+20??` as a string of all of them. Throws on a part that names none. */
 function charactersOf(range: string): string {
   return range.split(',').map((part) => {
     const [first = '', last = first] = part.trim().replace(/^U\+/i, '').split('-');
-    const [from, to] = [first.replaceAll('?', '0'), last.replaceAll('?', 'F')].map((hex) => Number.parseInt(hex, 16));
-    return Array.from({ length: (to ?? NaN) - (from ?? NaN) + 1 }, (_, at) => String.fromCodePoint((from ?? NaN) + at)).join('');
+    const from = Number.parseInt(first.replaceAll('?', '0'), 16);
+    const to = Number.parseInt(last.replaceAll('?', 'F'), 16);
+    if (!(from <= to)) throw new Error(`\`${part.trim()}\` in a \`unicode-range\` names no characters; valid is for instance \`U+0000-00FF\``);
+    return Array.from({ length: to - from + 1 }, (_, at) => String.fromCodePoint(from + at)).join('');
   }).join('');
 }

@@ -98,12 +98,17 @@ def test_an_auditor_gives_a_verdict_by_keyboard_and_its_trace_shows_nothing_meas
     looks_where_nothing_was_measured(person, "auditor reviewed: objected")
 
 
-def test_who_writes_a_note_when_a_question_comes_up_goes_on_writing_and_answers_nothing(
-    server: ServerProcess, people: People, floor: Floor, stopped: dict[str, Any]
-) -> None:
+@pytest.fixture
+def reviewed_later(server: ServerProcess, floor: Floor, stopped: dict[str, Any]) -> dict[str, Any]:
+    """A session that waits for a verdict, in a cell that asks people again meanwhile."""
     until(floor.unlatched, what="a cell that no stop latches")
-    with server.client() as client:
-        assert client.put(f"{CELL}/profile", json={"profile": "human-shared"}).is_success
+    put_in_profile(server, "human-shared")
+    return stopped
+
+
+def test_who_writes_a_note_when_a_question_comes_up_goes_on_writing_and_answers_nothing(
+    server: ServerProcess, people: People, floor: Floor, reviewed_later: dict[str, Any]
+) -> None:
     person = people.sit(server)
     queue(person).get_by_role("button", name=re.compile("Drive to")).click()
     note = queue(person).get_by_label("Note for the record")
@@ -117,11 +122,8 @@ def test_who_writes_a_note_when_a_question_comes_up_goes_on_writing_and_answers_
 
 
 def test_what_one_goes_on_writing_when_another_verdict_came_first_answers_no_question(
-    server: ServerProcess, people: People, floor: Floor, stopped: dict[str, Any]
+    server: ServerProcess, people: People, floor: Floor, reviewed_later: dict[str, Any]
 ) -> None:
-    until(floor.unlatched, what="a cell that no stop latches")
-    with server.client() as client:
-        assert client.put(f"{CELL}/profile", json={"profile": "human-shared"}).is_success
     person = people.sit(server)
     asked = floor.ask()
     queue(person).get_by_role("button", name=re.compile("Drive to")).click()
@@ -145,18 +147,15 @@ def test_what_one_goes_on_writing_when_another_verdict_came_first_answers_no_que
             seen.observe(document.body, { childList: true, subtree: true });
         }"""
     )
-    judge(server, kept(server, stopped), "accepted")
+    judge(server, kept(server, reviewed_later), "accepted")
     expect(queue(person)).to_contain_text("Your note was not recorded: “It was”")
     assert person.page.evaluate("window.written")
     assert server.get(f"/v1/invocations/{asked['id']}")["status"] == "awaiting_approval"
 
 
 def test_who_corrects_a_note_or_pauses_in_it_as_another_verdict_comes_answers_no_question_with_what_follows(
-    server: ServerProcess, people: People, floor: Floor, stopped: dict[str, Any]
+    server: ServerProcess, people: People, floor: Floor, reviewed_later: dict[str, Any]
 ) -> None:
-    until(floor.unlatched, what="a cell that no stop latches")
-    with server.client() as client:
-        assert client.put(f"{CELL}/profile", json={"profile": "human-shared"}).is_success
     person = people.sit(server)
     asked = floor.ask()
     queue(person).get_by_role("button", name=re.compile("Drive to")).click()
@@ -164,7 +163,7 @@ def test_who_corrects_a_note_or_pauses_in_it_as_another_verdict_comes_answers_no
     queue(person).get_by_label("Note for the record").press_sequentially("It was x")
     person.press("Backspace")
     person.page.wait_for_timeout(2_500)  # who writes thinks, longer than what is typed goes on
-    judge(server, kept(server, stopped), "accepted")
+    judge(server, kept(server, reviewed_later), "accepted")
     expect(queue(person)).to_contain_text("Your note was not recorded: “It was”")
     person.page.keyboard.type("anear")
     assert person.page.evaluate("new Promise((done) => setTimeout(done, 100, true))")  # for what the page would send
@@ -341,10 +340,8 @@ def test_of_two_reviewers_one_wins_and_the_other_is_told(
 
 
 def test_standing_grants_are_revoked_on_a_phone_without_passing_all_that_waits_for_a_verdict(
-    server: ServerProcess, people: People, floor: Floor, stopped: dict[str, Any]
+    server: ServerProcess, people: People, reviewed_later: dict[str, Any]
 ) -> None:
-    until(floor.unlatched, what="a cell that no stop latches")
-    put_in_profile(server, "human-shared")
     grant = {"capability": "grasp_object", "agent": "planner", "cell": "workcell-1", "scope": "object", "minutes": 5}
     given = server.post("/v1/grants", {**grant, "object": "mug_1"})
     assert given.is_success, given.text
