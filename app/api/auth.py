@@ -1,4 +1,4 @@
-"""Who is asking: bearer tokens, the principals behind them, and the one table of who may use which route.
+"""Who is asking: bearer tokens, and the principals behind them. Who may use which route says `app.api.access`.
 
 The server keeps SHA-256 digests, never tokens. The first start writes `tokens.json` (for people to read once, mode
 0600), `cell.token` (for cells) and `principals.json` (the digests) into the data directory. `principals.json` is looked
