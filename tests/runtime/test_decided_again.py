@@ -14,6 +14,7 @@ from app.audit.errors import RecordUnavailable
 from app.audit.event import EventDraft
 from app.governance import control
 from app.governance.model import EventKind, GrantScope
+from app.protocol import Human
 from app.runtime.assembly import Runtime
 from app.runtime.errors import Conflict, RuntimeRefusal
 from app.runtime.escalation import Escalation
@@ -319,6 +320,9 @@ async def approved(runtime: Runtime, cell: HandCell, by: Principal, request: Pro
 
 
 async def taken(runtime: Runtime, cell: HandCell, invocation: str) -> None:
+    """Take a session over; where another policy has told it to hold, its cell has said by then that it does."""
+    if any(isinstance(said, Human) and said.op == "escalate" for said in cell.heard):
+        await cell.report("status", invocation, status="escalated", reason="policy_changed")
     await runtime.governor.take_over(invocation, OPERATOR)
     await cell.report("launch", invocation, capability="takeover")
 
