@@ -11,6 +11,7 @@ event by event:
 of what was approved); nothing once it was authorized |
 | approval | the effective parameters, which an approver may have edited, and what policy says of the edit |
 | authorization, the first | that it runs, with exactly those parameters |
+| cell, `not_sent` with an authorization | the policy version that it is bound by as before |
 | status, escalation | what the session does |
 | outcome | how it ended, and why nothing came of it, where it never ran; nothing comes after it |
 | any with a question, or that withdraws one | which question the document shows, and what became of it |
@@ -46,6 +47,7 @@ FIELDS: Final = (
 )  # fmt: skip
 ADMISSION: Final = ("outcome", "reasons", "retry_after_s")  # of an event's body: what the document says of it
 POLICY: Final = ("outcome", "reasons", "changes")
+NOT_SENT: Final = "not_sent"  # what was recorded was not sent after all
 QUESTION: Final = ("id", "status", "code")  # an earlier release left the document with an older deadline
 
 
@@ -220,6 +222,11 @@ def _authorization(known: Body, actor: str, body: Body) -> Body:
     }
 
 
+def _cell(known: Body, actor: str, body: Body) -> Body:
+    unsent = body.get("what") == NOT_SENT and "policy_version" in body  # earlier releases left it at the unsent one
+    return {"policy_version": body["policy_version"]} if unsent else {}
+
+
 def _status(known: Body, actor: str, body: Body) -> Body:
     status = Status(body["status"])
     # A terminal status is followed by the outcome, which says more.
@@ -288,6 +295,7 @@ _STATES: Final[Mapping[str, Callable[[Body, str, Body], Body]]] = {
     EventKind.POLICY: _policy,
     EventKind.APPROVAL: _approval,
     EventKind.AUTHORIZATION: _authorization,
+    EventKind.CELL: _cell,
     EventKind.STATUS: _status,
     EventKind.ESCALATION: _escalation,
     EventKind.OUTCOME: _outcome,

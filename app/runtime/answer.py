@@ -32,10 +32,8 @@ from app.runtime.drafts import (
 )
 from app.runtime.errors import Conflict, InvalidParams
 from app.runtime.escalation import APPROVED, DENIED, ROLLBACK, bound_digest
-from app.runtime.grant import GrantEnded
 from app.runtime.invocation import reasons_document
-from app.runtime.kernel import ProfileLeft
-from app.runtime.readmission import lapsed, not_sent, readmitted
+from app.runtime.readmission import going_on, lapsed, readmitted
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -313,21 +311,11 @@ class Answer:
             _unsaid(found.unasked, self._escalation) or carried != self._escalation.carried
         ):
             await self._ask_more(found.unasked, carried)
-        judgement = found.judgement
-        drafts = [self._event("approve", closed), *judgement.recheck_events(present)]
-        try:
-            async with self._kernel.launch(present, judgement, found.approvals, anew=decided) as launch:
-                version = present.evolve(
-                    closed.updated_at,
-                    escalation=closed.reference(),
-                    terms=replace(launch.invocation.terms, undone_by=None),  # it goes on: its agent may end it as well
-                    policy_version=judgement.policy.digest,
-                )
-                with self._questions.grants.use(judgement.grant) as used:
-                    await self._questions.commit([*drafts, *launch.events], closed, version, [*launch.rows, *used])
-        except (GrantEnded, ProfileLeft) as error:  # it was answered all the same, and is asked about again
-            remedy = "answer again, once it is asked about"
-            raise await not_sent(self._questions, cell, present, "approve", remedy) from error
+        remedy = "answer again, once it is asked about"  # it is answered by this, though it may not be sent
+        async with going_on(self._questions, cell, found, decided, "approve", remedy) as launch:
+            version = launch.invocation.evolve(closed.updated_at, escalation=closed.reference())
+            drafts = [self._event("approve", closed), *launch.events]
+            await self._questions.commit(drafts, closed, version, launch.rows)
         return closed
 
     async def _ask_more(self, need: ApprovalNeed, carried: str | None) -> NoReturn:

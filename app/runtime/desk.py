@@ -69,6 +69,7 @@ class Desk(Questions):
         super().__init__(register, fleet, kernel)
         self.departed: dict[str, list[dict[str, str]]] = {}  # why sessions do not conform to the policy in force
         self.conformed: dict[str, list[dict[str, str]]] = {}  # why they did not to one before it
+        self.holding: dict[str, float] = {}  # sessions that policy has hold and have not said so; when they were told
         self.reviews = Reviews(register, kernel)
         self.decide_again: Callable[[], Awaitable[None]] = _nothing_waits
 

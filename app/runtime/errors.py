@@ -7,6 +7,7 @@ RuntimeRefusal
 ├── ExaminationFailed  a candidate could not be examined, so it is not kept and cannot come into force
 └── Conflict        it cannot be done in the present state; `code` says why and is stable
 
+`GaveWay` stays within: what a decision stood on gave way before what was decided was sent.
 `RecordUnavailable` (from `app.audit`) passes through unchanged: the record cannot be written, so nothing was done.
 """
 
@@ -55,6 +56,15 @@ CONFLICTS: Final[Mapping[str, int]] = {
     "second_engineer_needed": 409,
 }
 """Every code a `Conflict` may bear, with the HTTP status that says the same."""
+
+
+class GaveWay(Exception):
+    """A policy, profile or grant that a decision stood on gave way before what was decided was sent; see `reasons`."""
+
+    def __init__(self, *reasons: Reason) -> None:
+        """Say what gave way, and to what."""
+        self.reasons = reasons
+        super().__init__(reasons[0].message)
 
 
 class RuntimeRefusal(Exception):

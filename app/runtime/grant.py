@@ -12,8 +12,8 @@ import orjson
 
 from app.audit.event import RowWrite
 from app.clock import parse_rfc3339, rfc3339
-from app.governance.model import Grant, GrantScope
-from app.runtime.errors import InvalidParams
+from app.governance.model import Grant, GrantScope, Reason
+from app.runtime.errors import GaveWay, InvalidParams
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -23,11 +23,18 @@ if TYPE_CHECKING:
 LEAST_MINUTES: Final = 0.01  # what is shorter is over before anybody could use it
 ACTIVE: Final = "active"
 ENDED: Final = "ended"
+REVOKED: Final = Reason(
+    "authority/grants", "grant_ended", "the standing grant it was allowed by ended before it was sent", "propose again"
+)
 ENDS: Final = ("revoked", "expired", "estop", "profile_changed", "policy_changed", "giver_withdrawn")
 
 
-class GrantEnded(Exception):
-    """A grant that a decision stood on has ended before the decision was recorded, or what was decided was sent."""
+class GrantEnded(GaveWay):
+    """A grant that a decision stood on has ended before the decision was recorded."""
+
+    def __init__(self) -> None:
+        """Say of what is not sent that its grant has ended."""
+        super().__init__(REVOKED)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -219,7 +219,7 @@ class Grants:
             return
         present = self._answering(grant_id)
         if present is None:
-            raise GrantEnded(grant_id)
+            raise GrantEnded
         now = self._register.now()
         used = present.evolve(now, uses=present.uses + 1, used_at=now)
         self.hold(used)

@@ -12,6 +12,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final
 
 from app.audit.event import EventDraft
+from app.audit.projection import NOT_SENT
 from app.clock import monotonic_s
 from app.governance.control import TAKEOVER, Control, Phase, Taking, keep, returning
 from app.governance.model import SESSION, EventKind
@@ -19,12 +20,10 @@ from app.protocol import Human
 from app.runtime.cells import FRESH_S
 from app.runtime.drafts import SERVER
 from app.runtime.errors import Conflict, NotFound
-from app.runtime.grant import GrantEnded
 from app.runtime.hands import HELD, RETURNING, given_back
 from app.runtime.invocation import Invocation, may_see
-from app.runtime.kernel import ProfileLeft
 from app.runtime.overtaken import check_newest
-from app.runtime.readmission import RULE, not_sent, readmitted, tell_first, told_by
+from app.runtime.readmission import RULE, going_on, readmitted, tell_first, told_by
 from app.runtime.uncut import uncut
 
 if TYPE_CHECKING:
@@ -146,21 +145,14 @@ class Handbacks:
             present = _still_held(entry, cell, control)
             found = await readmitted(self.desk, cell, present, principal)
             _still_held(entry, cell, control)  # again: that was waited for
-            document, judgement = cell.control_document() or {}, found.judgement
+            document = cell.control_document() or {}
             approves = await tell_first(self.desk, present, found, control.lease, told, said)
             self.desk.ask_again(principal)  # last: all of it was waited for
             word = self._word("release", present, principal, document, then="resume", **approves)
-            drafts = [word, *judgement.recheck_events(present)]
-            try:
-                async with self.kernel.launch(present, judgement, found.approvals, anew=decided) as launch:
-                    terms = replace(launch.invocation.terms, undone_by=None)  # it goes on: its agent may end it as well
-                    digest = judgement.policy.digest  # it may be another one that is in force by now
-                    version = self._given_back(cell, present, "resume", terms=terms, policy_version=digest)
-                    with self.desk.grants.use(judgement.grant) as used:
-                        await self.register.append([*drafts, *launch.events], [*launch.rows, *used], [version])
-            except (GrantEnded, ProfileLeft) as error:
-                remedy = "hand back again, roll it back, or end it"
-                raise await not_sent(self.desk, cell, present, "resume", remedy) from error
+            remedy = "hand back again, roll it back, or end it"
+            async with going_on(self.desk, cell, found, decided, "resume", remedy) as launch:
+                version = self._given_back(cell, launch.invocation, "resume")
+                await self.register.append([word, *launch.events], launch.rows, [version])
 
     async def _roll_back(self, cell: Cell, control: Control, principal: Principal, decided: Moment) -> None:
         invocation = control.invocation
@@ -285,7 +277,7 @@ async def take_back(register: Register, op: str, invocation: str, code: str, *, 
 
     `undone_by` is who had ordered a rollback before, if it was one: theirs stands.
     """
-    body = {"what": "not_sent", "op": op, "code": code}
+    body = {"what": NOT_SENT, "op": op, "code": code}
     draft = EventDraft(kind=EventKind.CELL, actor=SERVER, invocation=invocation, body=body)
     entry = register.entry(invocation)
     if op != "rollback" or entry is None:

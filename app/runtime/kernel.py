@@ -43,8 +43,7 @@ from app.governance.recorded import KEY as CIRCUMSTANCES
 from app.protocol import Launch
 from app.runtime.cells import Moment
 from app.runtime.drafts import GRANTED, SERVER
-from app.runtime.errors import Conflict, InvalidParams
-from app.runtime.grant import GrantEnded
+from app.runtime.errors import Conflict, GaveWay, InvalidParams
 from app.runtime.identity import Identities
 from app.runtime.invocation import reasons_document
 from app.runtime.link import key_text
@@ -86,10 +85,6 @@ EDITED: Final = Reason(
     "nobody approved what a person had made of this, and nobody is asked about it any more",
     "propose again",
 )
-
-
-class ProfileLeft(Exception):
-    """A cell was put under another profile than what was decided about it before that was sent."""
 
 
 class Judgement(NamedTuple):
@@ -269,8 +264,8 @@ class Kernel:
         self._fleet = fleet
         self._key = signing_key
         self._operator_heard_s: float | None = None
-        self.overtaken: Callable[[Invocation, Judgement], bool] = lambda _, __: False
-        self.rebound: Callable[[Invocation, Judgement], None] = lambda _, __: None
+        self.outlived: Callable[[Invocation, Judgement, bool], tuple[Reason, ...]] = lambda _, __, ___: ()
+        self.abandon: Callable[[str, tuple[Reason, ...]], None] = lambda _, __: None
         self.standing: Callable[[Cell | None], tuple[Grant, ...]] = lambda _: ()
         self.enforce(policy)
 
@@ -391,8 +386,8 @@ class Kernel:
 
         Raises:
             Conflict: `cell_offline`, the cell of a session that is to change hands was away meanwhile.
-            GrantEnded: the grant by which such a session was to go on ended while that was recorded; nothing is sent.
-            ProfileLeft: its cell was put under another profile than it was to go on under; nothing is sent.
+            GaveWay: a grant, policy or profile that such a session was to go on under gave way while that was recorded;
+                nothing is sent.
             RecordUnavailable: the log was found to be damaged; nothing is sent.
         """
         cell = self._fleet.cell(invocation.cell or "")
@@ -404,15 +399,17 @@ class Kernel:
             self._fleet.claim(cell, invocation.id)
             authorization = self._authorization(invocation, judgement, approvals)
             signed = mint(authorization, self._key)
-            yield self._launching(invocation, judgement, authorization, signed.body.decode())
+            launching = self._launching(invocation, judgement, authorization, signed.body.decode())
+            yield launching
         except BaseException:
             if anew is None:
                 self._fleet.release(cell.id, invocation.id)
             raise
-        if anew is None and self.overtaken(invocation, judgement):
-            return  # another policy or profile came into force while this was recorded, and does not let it begin
-        if anew is not None:
-            self._check_standing(cell, invocation, judgement)
+        if reasons := self.outlived(launching.invocation, judgement, anew is not None):
+            if anew is not None:
+                raise GaveWay(*reasons)
+            self.abandon(invocation.id, reasons)
+            return
         message = Launch(
             body=base64.b64encode(signed.body).decode(),
             signature=base64.b64encode(signed.signature).decode(),
@@ -420,19 +417,6 @@ class Kernel:
         )
         with suppress(Conflict):  # what has not begun may begin on any link: a cell that is back knows of nothing then
             self._fleet.order(cell, message, decided=anew or Moment(restraints, cell.attachment))
-        if anew is not None:
-            self.rebound(invocation, judgement)
-
-    def _check_standing(self, cell: Cell, invocation: Invocation, judgement: Judgement) -> None:
-        """See that a session may still go on by what was decided; who drives one keeps to the profile it began under.
-
-        Raises:
-            GrantEnded, ProfileLeft: it may not.
-        """
-        if judgement.grant not in (None, *(grant.id for grant in self.standing(cell))):
-            raise GrantEnded(judgement.grant)
-        if invocation.capability != TAKEOVER and cell.profile != judgement.profile:
-            raise ProfileLeft(judgement.profile)
 
     def _launching(
         self, invocation: Invocation, judgement: Judgement, authorization: Authorization, body: str

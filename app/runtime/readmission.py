@@ -2,42 +2,44 @@
 
 from __future__ import annotations
 
+from contextlib import asynccontextmanager
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Final, cast
 
 from app.audit.event import EventDraft
+from app.audit.projection import NOT_SENT
 from app.governance.model import EventKind, Reason
 from app.runtime.drafts import GRANTED, SERVER
-from app.runtime.errors import Conflict
+from app.runtime.errors import Conflict, GaveWay
 from app.runtime.escalation import PROFILE_CHANGED
 from app.runtime.hands import LAPSED
 from app.runtime.identity import digest
 from app.runtime.invocation import reasons_document
+from app.runtime.kernel import Launching
 from app.runtime.recollection import events_of
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import AsyncGenerator, Mapping, Sequence
 
     from app.governance.model import ApprovalNeed
-    from app.runtime.cells import Cell
+    from app.runtime.cells import Cell, Moment
     from app.runtime.invocation import Invocation, Principal
     from app.runtime.kernel import Judgement
     from app.runtime.questions import Questions
 
 RULE: Final = "authority/takeover"
-ENDED: Final = Reason(
-    "authority/grants", "grant_ended", "the standing grant it was to go on by has ended meanwhile", ""
-)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Readmission:
     """A session that policy lets go on from where the robot is now.
 
-    `approvals` is who approved it, whoever lets it go on among them. `unasked` is what that one approves by it: what
-    policy has people asked from here, and too few of those who approved the launch were shown. They have to be, first.
+    `session` is as it was then. `approvals` is who approved it, whoever lets it go on among them. `unasked` is what
+    that one approves by it: what policy has people asked from here, and too few of those who approved the launch were
+    shown. They have to be, first.
     """
 
+    session: Invocation
     by: str  # who lets it go on
     judgement: Judgement
     approvals: tuple[str, ...]
@@ -76,7 +78,7 @@ async def readmitted(desk: Questions, cell: Cell, present: Invocation, principal
     approvals = (*approvals, *judgement.by_grant)
     if principal.name not in (*approvals, present.agent):
         approvals = (*approvals, principal.name)
-    return Readmission(by=principal.name, judgement=judgement, approvals=approvals, unasked=unasked)
+    return Readmission(session=present, by=principal.name, judgement=judgement, approvals=approvals, unasked=unasked)
 
 
 async def told_by(desk: Questions, invocation: str) -> dict[str, int]:
@@ -113,22 +115,53 @@ async def tell_first(
     raise _refused(message, reasons, bound)
 
 
-async def not_sent(desk: Questions, cell: Cell, before: Invocation, op: str, remedy: str) -> Conflict:
-    """Record that a session was not let go on after all: its grant has ended meanwhile, or its cell left its profile.
+@asynccontextmanager
+async def going_on(
+    desk: Questions, cell: Cell, found: Readmission, decided: Moment, op: str, remedy: str
+) -> AsyncGenerator[Launching]:
+    """Let a session go on that a human drove, bound anew: the caller makes it durable inside, and then it is sent.
 
-    It is in the hands, and under the terms, that it was in before. Returns the refusal of whoever let it go on.
+    Args:
+        desk: where it is asked about.
+        cell: which has it.
+        found: what was decided on it. Nothing was awaited since.
+        decided: how the cell stood before.
+        op: what is said to it, as the record names it.
+        remedy: what whoever says so may do where it is not sent after all, and their cell is under its profile still.
 
     Raises:
-        RecordUnavailable: that is not recorded; nothing was sent all the same.
+        Conflict: `resume_refused`, what it was to go on by gave way while that was recorded, and nothing is sent: it
+            is in the hands, and under the terms, that it was in before; `cell_offline`, the cell was away meanwhile.
+        RecordUnavailable: nothing is sent.
     """
-    why = ENDED._replace(remedy=remedy) if cell.profile == before.profile else _gave_way(cell, before)
-    recorded = desk.register.newest(before.id)
+    present, judgement = found.session, found.judgement
+    try:
+        async with desk.kernel.launch(present, judgement, found.approvals, anew=decided) as launch:
+            terms = replace(launch.invocation.terms, undone_by=None)  # it goes on: its agent may end it as well
+            with desk.grants.use(judgement.grant) as used:
+                yield Launching(
+                    invocation=replace(present, terms=terms, policy_version=judgement.policy.digest),
+                    events=(*judgement.recheck_events(present), *launch.events),
+                    rows=(*launch.rows, *used),
+                )
+    except GaveWay as error:
+        left = cell.profile == present.profile
+        why = [each._replace(remedy=remedy) for each in error.reasons] if left else [_gave_way(cell, present)]
+        raise await _not_sent(desk, present, op, why) from error
+
+
+async def _not_sent(desk: Questions, before: Invocation, op: str, reasons: Sequence[Reason]) -> Conflict:
+    """Record that a session was not let go on after all, and return the refusal of whoever let it go on."""
+    recorded, why = desk.register.newest(before.id), reasons[0]
     if recorded is not None and recorded is not before:  # else that came first, and there is no record
-        body = {"what": "not_sent", "op": op, "code": why.code}
+        unsent, bound = recorded.terms.authorization, before.policy_version
+        body = {"what": NOT_SENT, "op": op, "code": why.code, "authorization": unsent, "policy_version": bound}
         draft = EventDraft(kind=EventKind.CELL, actor=SERVER, invocation=before.id, body=body)
-        version = recorded.evolve(desk.register.now(), takeover=before.takeover, terms=before.terms)
+        version = recorded.evolve(
+            desk.register.now(), takeover=before.takeover, terms=before.terms, policy_version=bound
+        )
         await desk.register.append([draft], versions=[version])
-    return _refused(f"{why.message}: it was not sent", [why])
+    return _refused(f"{why.message}: it was not sent", reasons)
 
 
 def _refused(message: str, reasons: Sequence[Reason], bound: str | None = None) -> Conflict:

@@ -11,7 +11,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final
 
 from app.audit.documents import documents
-from app.audit.projection import FIELDS, differences, rebuild
+from app.audit.projection import FIELDS, NOT_SENT, differences, rebuild
 from app.governance.model import CoveredRecovery, EventKind, Mode, Outcome, Status, Strategy
 from app.runtime.escalation import PENDING, Escalation
 
@@ -105,13 +105,17 @@ def _terms_of(stored: Terms, events: Sequence[Event]) -> Terms:
 
 
 def _covered(capability: str, events: Sequence[Event]) -> tuple[CoveredRecovery, ...] | None:
-    """Return what the newest authorization of a session itself covers; None where there was none."""
-    own: dict[str, Any] | None = None
+    """Return what the newest authorization of a session itself covers that was sent; None where there was none."""
+    sent: dict[str, dict[str, Any]] = {}
     for event in events:
+        body: dict[str, Any] = event.payload()
         if event.kind == EventKind.AUTHORIZATION:
-            body: dict[str, Any] = event.payload()
             permit = body["authorization"]
-            own = permit if permit["capability"] == capability else own  # one for a human's hands covers nothing of it
+            if permit["capability"] == capability:  # one for a human's hands covers nothing of it
+                sent[permit["id"]] = permit
+        elif event.kind == EventKind.CELL and body.get("what") == NOT_SENT:
+            sent.pop(body.get("authorization", ""), None)
+    own = next(reversed(sent.values()), None)
     if own is None:
         return None
     return tuple(

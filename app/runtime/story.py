@@ -153,6 +153,7 @@ class Story:
 
         A cell says that a session is escalated, and then why. Who has answered by then is not asked again.
         """
+        self._desk.holding.pop(version.id, None)  # whoever lets it go on, or takes it over, need not wait to be seen
         asked_before = version.terms.asked_tick == event.tick and event.kind == EventKind.ESCALATION
         if question is None and (asked_before or self._answered_meanwhile(version, event)):
             if version.status is not Status.ESCALATED:

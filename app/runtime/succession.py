@@ -27,12 +27,12 @@ from app.governance.authority import need
 from app.governance.continuing import ACCEPTED, CHANGED, CONFORMS, Departure, departure
 from app.governance.control import TAKEOVER
 from app.governance.errors import PolicyErrors
-from app.governance.model import SESSION, AdmissionOutcome, EventKind, Outcome, PolicyOutcome, Status
+from app.governance.model import SESSION, AdmissionOutcome, EventKind, Outcome, PolicyOutcome, Reason, Status
 from app.protocol import Human
 from app.runtime.drafts import SERVER, escalation_event, outcome_event, reason
 from app.runtime.errors import InvalidParams, NotFound
 from app.runtime.escalation import APPROVAL, PROFILE_CHANGED, WITHDRAWN, bound_digest
-from app.runtime.grant import GrantEnded
+from app.runtime.grant import REVOKED, GrantEnded
 from app.runtime.hands import over
 from app.runtime.invocation import reasons_document
 from app.runtime.kernel import ANOTHER_PROFILE, EDITED
@@ -41,9 +41,9 @@ from app.runtime.recollection import events_of
 from app.runtime.uncut import uncut
 
 if TYPE_CHECKING:
-    from collections.abc import Awaitable, Callable, Coroutine, Mapping
+    from collections.abc import Awaitable, Callable, Mapping
 
-    from app.governance.model import ApprovalNeed, Reason
+    from app.governance.model import ApprovalNeed
     from app.governance.policy import PolicySet
     from app.runtime.desk import Desk
     from app.runtime.escalation import Escalation
@@ -54,17 +54,14 @@ if TYPE_CHECKING:
 
 AGAIN_S: Final = 0.2
 RULE: Final = "policy/changed"
-OVERTAKEN: Final = reason(
-    RULE, CHANGED, "another policy came into force before this began, and does not let it", "propose again"
+OVERTAKEN: Final = Reason(
+    RULE, CHANGED, "another policy came into force before this was sent, and does not let it", "propose again"
 )
-OTHER_PROFILE: Final = reason(
-    RULE, PROFILE_CHANGED, "the cell was put under another profile before this began", "propose again"
+OTHER_PROFILE: Final = Reason(
+    RULE, PROFILE_CHANGED, "the cell was put under another profile before this was sent", "propose again"
 )
 FORMER_HELD: Final = reason(
     RULE, CHANGED, "a policy that is not in force any more held this; it waits for a human", "let it go on, or end it"
-)
-REVOKED: Final = reason(
-    "authority/grants", "grant_ended", "the standing grant it was allowed by ended before this began", "propose again"
 )
 
 
@@ -75,10 +72,9 @@ class Succession:
         """Take the parts of one server."""
         self._register, self._fleet, self._desk, self._kernel = register, fleet, desk, kernel
         self._policies: dict[str, PolicySet] = {}  # those that live sessions run under
-        self._holding: dict[str, float] = {}  # sessions that are to hold and have not said so; when they were told
         self._under_way: set[asyncio.Task[None]] = set()
-        kernel.overtaken = self.overtaken
-        kernel.rebound = self.rebound
+        kernel.outlived = self.outlived
+        kernel.abandon = self.abandon
         desk.kept_back = self.kept_back
         desk.decide_again = self.decide_again
 
@@ -134,7 +130,7 @@ class Succession:
     def _hold(self, present: Invocation, found: Departure) -> EventDraft:
         reasons = reasons_document(found.reasons)
         self._desk.departed[present.id] = reasons
-        self._holding[present.id] = monotonic_s()
+        self._desk.holding[present.id] = monotonic_s()
         self._restrain(present)
         body = {
             "intervention": "ESCALATE",
@@ -202,12 +198,13 @@ class Succession:
         """Tell sessions once more to hold, which were on their way to their cell when they were told."""
         now_s = monotonic_s()  # the wall clock may be put back, and what is to hold would run on for as long
         self._forget()
-        for name, told_s in tuple(self._holding.items()):
+        holding = self._desk.holding
+        for name, told_s in tuple(holding.items()):
             present = self._register.newest(name)
             if present is None or present.status not in SESSION or present.status is Status.ESCALATED:
-                del self._holding[name]
+                del holding[name]
             elif present.terms.confirmed and now_s - told_s >= AGAIN_S:
-                self._holding[name] = now_s
+                holding[name] = now_s
                 self._restrain(present)
 
     def _forget(self) -> None:
@@ -223,49 +220,34 @@ class Succession:
 
     # -- what was decided before and recorded after --------------------------------------------------------------------
 
-    def overtaken(self, launching: Invocation, judgement: Judgement) -> bool:
-        """Say whether a launch must not be sent, because what it was decided under has given way; end it then.
+    def outlived(self, launching: Invocation, judgement: Judgement, anew: bool) -> tuple[Reason, ...]:
+        """Return why a launch must not be sent, because what it was decided under gave way while it was recorded.
 
-        A grant that ended while this was recorded answers for nothing. Another policy may let it go on all the same.
-        Another profile does not: whoever puts a cell under one takes what begins from then on to be under that.
+        A grant that ended meanwhile answers for nothing. Another policy may let it go on all the same. Another profile
+        does not: whoever puts a cell under one takes what begins from then on to be under that. Who takes a session
+        over (it is bound `anew`, as when it goes on from there) keeps to its profile, and `cell.hands` is compared
+        with each policy.
         """
-        if reasons := self._outlived(launching, judgement):
-            self._soon(self._abandon(launching.id, reasons), f"abandon-{launching.id}")
-        return bool(reasons)
-
-    def rebound(self, launching: Invocation, judgement: Judgement) -> None:
-        """Hold a session that was bound anew under a policy which gave way while that was recorded.
-
-        At the change it was compared as what it was bound to before, and might go on as that.
-        """
-        present = self._register.newest(launching.id)
-        if judgement.policy is self._kernel.policy or launching.capability == TAKEOVER or present is None:
-            return
-        if done := self._compare(present):
-            self._soon(self._say(done), f"rebound-{launching.id}")
-
-    async def _say(self, done: list[EventDraft]) -> None:
-        await self._register.say(*done)
-
-    def _outlived(self, launching: Invocation, judgement: Judgement) -> list[dict[str, str]]:
-        if judgement.profile != self._fleet.profile(self._fleet.cell(launching.cell or "")):
-            return [OTHER_PROFILE]
-        if not self._desk.grants.stands(launching.grant):
-            return [REVOKED]
-        if judgement.policy is self._kernel.policy:
-            return []
+        taking = anew and launching.capability == TAKEOVER
+        if not taking and judgement.profile != self._fleet.profile(self._fleet.cell(launching.cell or "")):
+            return (OTHER_PROFILE,)
+        if not self._desk.grants.stands(judgement.grant if anew else launching.grant):
+            return (REVOKED,)
+        if taking or judgement.policy is self._kernel.policy:
+            return ()
         proposal = launching.proposal(dict(launching.effective or {}))
         context = self._kernel.context(launching.capability, launching.agent, launching)
-        found = departure(judgement.policy, self._kernel.policy, proposal, context)
-        return [OVERTAKEN, *reasons_document(found.reasons)] if found else []
+        covered = launching.terms.recoveries
+        found = departure(judgement.policy, self._kernel.policy, proposal, context, covered)
+        return (OVERTAKEN, *found.reasons) if found else ()
 
-    def _soon(self, doing: Coroutine[Any, Any, None], name: str) -> None:
-        task = asyncio.create_task(doing, name=name)
+    def abandon(self, name: str, reasons: tuple[Reason, ...]) -> None:
+        """End what was recorded as launched and never was; nothing has moved."""
+        task = asyncio.create_task(self._abandon(name, reasons_document(reasons)), name=f"abandon-{name}")
         self._under_way.add(task)
         task.add_done_callback(self._under_way.discard)
 
     async def _abandon(self, name: str, reasons: list[dict[str, str]]) -> None:
-        """End what was recorded as launched and never was; nothing has moved."""
         entry = self._register.entry(name)
         if entry is None:
             return
@@ -439,7 +421,7 @@ class Succession:
         await self._desk.commit([escalation_event(asked)], asked, invocation.evolve(now, escalation=asked.reference()))
 
     async def close(self) -> None:
-        """Wait for what is being ended, or said."""
+        """Wait for what is being ended."""
         if self._under_way:
             await asyncio.wait(self._under_way)
 

@@ -368,7 +368,8 @@ class Takeovers(Handbacks):
             return ()
         cell.hands = hands._replace(compared=policy)
         context = self.kernel.context(TAKEOVER, driven.agent, driven)
-        return departure(hands.policy, policy, hands.proposal, context).reasons
+        covered = ()  # while a human drives nothing recovers by itself
+        return departure(hands.policy, policy, hands.proposal, context, covered).reasons
 
 
 def _theirs(cell: Cell, document: dict[str, Any]) -> dict[str, Any]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import shutil
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncGenerator, AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -243,6 +243,22 @@ class House:
             await store.close()
         found = examine_file(self.folder)
         assert found.ok is self.sound, found  # whatever was tested
+
+
+@asynccontextmanager
+async def stating(cell: HandCell, **changes: Any) -> AsyncGenerator[None]:
+    """Have the cell say its state again and again, as a real one does."""
+
+    async def state() -> None:
+        while True:
+            await cell.state(**changes)
+            await asyncio.sleep(0.02)
+
+    saying = asyncio.create_task(state())
+    try:
+        yield
+    finally:
+        saying.cancel()
 
 
 @pytest.fixture

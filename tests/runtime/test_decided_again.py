@@ -12,14 +12,17 @@ import pytest
 
 from app.audit.errors import RecordUnavailable
 from app.audit.event import EventDraft
+from app.clock import monotonic_s
 from app.governance import control
 from app.governance.model import EventKind, GrantScope
 from app.protocol import Human
+from app.runtime import succession
 from app.runtime.assembly import Runtime
 from app.runtime.errors import Conflict, RuntimeRefusal
 from app.runtime.escalation import Escalation
 from app.runtime.grant import GrantRequest
 from app.runtime.invocation import Principal, ProposalRequest
+from app.runtime.register import Register
 
 from .conftest import (
     AGENT,
@@ -33,12 +36,12 @@ from .conftest import (
     House,
     grasp,
     press,
+    stating,
     until,
 )
 from .test_desk import answer, asked, holding
 from .test_races import Gate
-from .test_takeover import stating
-from .test_versions import ENGINEER_2, ORGANIZATION, SHARED, SLOWER, edited, put_in_force
+from .test_versions import ENGINEER_2, FILES, NO_RETREAT, ORGANIZATION, SHARED, SLOWER, brought, edited, put_in_force
 
 pytestmark = pytest.mark.anyio
 
@@ -231,7 +234,9 @@ async def test_a_hand_back_is_not_sent_when_its_grant_ends_while_it_is_recorded(
     assert newest is not None
     assert (newest.takeover, newest.terms) == (before.takeover, before.terms)
     told = [event["body"] for event in await runtime.governor.trace(session, ENGINEER) if event["kind"] == "cell"]
-    assert told == [{"what": "not_sent", "op": "resume", "code": "grant_ended"}]
+    unsent = permits(await runtime.governor.trace(session, ENGINEER))[-1]
+    bound = {"authorization": unsent, "policy_version": before.policy_version}
+    assert told == [{"what": "not_sent", "op": "resume", "code": "grant_ended", **bound}]
     again = await asked_first(runtime, cell, session, "approval_required")
     await handed_back(runtime, cell, session, again)
     assert permit(cell)["approvals"] == [OPERATOR.name]
@@ -253,6 +258,61 @@ async def test_a_hand_back_is_not_sent_when_its_cell_leaves_its_profile_while_it
         await back
     assert [why["code"] for why in refused.value.reasons] == ["profile_changed"]
     assert len(cell.all("launch")) == launched
+
+
+async def test_a_hand_back_is_not_sent_under_a_policy_that_gives_way_while_it_is_recorded(
+    runtime: Runtime, cell: HandCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What it was bound to before it was taken over would go on under the new one; what it is being bound to not."""
+    first = await put_in_force(runtime, NO_RETREAT)
+    session = await approved(runtime, cell, OPERATOR)
+    await runtime.versions.activate(await brought(runtime, FILES), ENGINEER, "it falls no more")
+    await put_in_force(runtime, FILES)
+    await taken(runtime, cell, session)
+    launched, before = len(cell.all("launch")), runtime.register.newest(session)
+    assert before is not None
+    gate = Gate(runtime, monkeypatch)
+    back = asyncio.ensure_future(runtime.governor.release(session, OPERATOR, "resume"))
+    async with stating(cell, status="running"):
+        await gate.reached.wait()
+    monkeypatch.undo()  # the record takes what comes behind it first
+    await put_in_force(runtime, NO_RETREAT)
+    assert runtime.governor.loosen_hands() == [], "while a human drives nothing recovers by itself"
+    gate.open.set()
+    with pytest.raises(Conflict, match="it was not sent") as refused:
+        await back
+    assert refused.value.code == "resume_refused"
+    assert [why["code"] for why in refused.value.reasons] == ["policy_changed", "no_retreat"]
+    assert len(cell.all("launch")) == launched
+    newest, control = runtime.register.newest(session), runtime.fleet.cell(CELL).control
+    assert newest is not None
+    assert control is not None
+    assert (newest.terms, newest.takeover, newest.policy_version) == (before.terms, before.takeover, first)
+    assert (control.holder, control.phase) == (OPERATOR.name, "held")
+    after_a_start = Register(runtime.store, monotonic_s)
+    await after_a_start.recall()
+    assert after_a_start.unfounded == {}
+    assert after_a_start.newest(session) == newest, "what the unsent authorization covered counts for nothing"
+    await handed_back(runtime, cell, session)  # decided again under what is in force
+
+
+async def test_a_session_that_said_that_it_holds_is_not_told_again_though_it_went_on_at_once(
+    runtime: Runtime, cell: HandCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whoever took it over at once lost the controls to that."""
+    hold_again = runtime.succession.hold_again
+    monkeypatch.setattr(runtime.succession, "hold_again", lambda: None)  # it looks every 0.2 s: not in between
+    session = await approved(runtime, cell, OPERATOR)
+    await put_in_force(runtime, LOOK)
+    await taken(runtime, cell, session)
+    await cell.report("status", session, status="running", reason="taken_over")
+    monkeypatch.setattr(succession, "AGAIN_S", 0.0)
+    hold_again()
+    monkeypatch.undo()
+    assert cell.ops().count("escalate") == 1
+    control = runtime.fleet.cell(CELL).control
+    assert control is not None
+    assert (control.holder, control.phase) == (OPERATOR.name, "held")
 
 
 async def test_an_answer_after_a_lapse_is_not_sent_when_its_grant_ends_while_it_is_recorded(
@@ -280,6 +340,10 @@ async def test_an_answer_after_a_lapse_is_not_sent_when_its_grant_ends_while_it_
     asked = runtime.desk.pending_for(session)
     assert asked is not None
     assert codes(asked) == {"not_gone_on"}
+
+
+def permits(trace: list[dict[str, Any]]) -> list[str]:
+    return [event["body"]["authorization"]["id"] for event in trace if event["kind"] == "authorization"]
 
 
 async def asked_first(runtime: Runtime, cell: HandCell, invocation: str, *codes: str, digest: str | None = None) -> str:

@@ -5,8 +5,6 @@ from __future__ import annotations
 import asyncio
 import base64
 import json
-from collections.abc import AsyncGenerator
-from contextlib import asynccontextmanager
 from dataclasses import replace
 from typing import Any
 
@@ -19,7 +17,7 @@ from app.governance.model import Wish
 from app.runtime.assembly import Runtime
 from app.runtime.errors import Conflict, Forbidden
 from app.runtime.invocation import Principal, ProposalRequest
-from tests.runtime.conftest import AGENT, ENGINEER, OPERATOR, OPERATOR_2, HandCell, House, until
+from tests.runtime.conftest import AGENT, ENGINEER, OPERATOR, OPERATOR_2, HandCell, House, stating, until
 from tests.runtime.test_versions import FASTER, SHARED, edited, put_in_force
 
 pytestmark = pytest.mark.anyio
@@ -50,22 +48,6 @@ async def refused(doing: Any) -> Conflict:
     with pytest.raises(Conflict) as caught:
         await doing
     return caught.value
-
-
-@asynccontextmanager
-async def stating(cell: HandCell, **changes: Any) -> AsyncGenerator[None]:
-    """Have the cell say its state again and again, as a real one does."""
-
-    async def state() -> None:
-        while True:
-            await cell.state(**changes)
-            await asyncio.sleep(0.02)
-
-    saying = asyncio.create_task(state())
-    try:
-        yield
-    finally:
-        saying.cancel()
 
 
 async def test_whoever_takes_over_drives_under_an_authorization_of_their_own(

@@ -14,9 +14,9 @@ from app.governance.model import EventKind
 from app.runtime.assembly import Runtime
 from app.runtime.errors import Forbidden
 
-from .conftest import AGENT, CELL, OPERATOR, OPERATOR_2, HandCell, House, navigate, until
+from .conftest import AGENT, CELL, OPERATOR, OPERATOR_2, HandCell, House, navigate, stating, until
 from .test_races import Gate
-from .test_takeover import LOCAL, driving, jog, permit, refused, stating
+from .test_takeover import LOCAL, driving, jog, permit, refused
 
 pytestmark = pytest.mark.anyio
 __all__ = ["driving"]
