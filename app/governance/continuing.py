@@ -158,7 +158,9 @@ def _covered(
     if covered is not None:
         named = (one for one in covered if one.capability != proposal.capability)
         return [
-            replace(proposal, capability=one.capability, params=one.params, mode=one.mode, preconditions=())
+            replace(
+                proposal, capability=one.capability, params=one.params, mode=one.mode, preconditions=(), version=None
+            )
             for one in named
         ]
     by = replace(then, agent=acting_for(then.agent))

@@ -68,7 +68,7 @@ def recoveries(policy: PolicySet, proposal: Proposal, context: Context) -> tuple
     named = {name: mode for _, name, mode in _wanted(policy, plan, proposal) if name != proposal.capability}
     found = ((name, mode, _params(policy, name, proposal, context)) for name, mode in named.items())
     return tuple(
-        replace(proposal, capability=name, params=params, mode=mode, preconditions=())
+        replace(proposal, capability=name, params=params, mode=mode, preconditions=(), version=None)
         for name, mode, params in found
         if params is not None
     )

@@ -336,6 +336,25 @@ def test_departs_when_what_recovers_it_is_asked_about_under_the_reason_it_was_bo
     assert [reason.rule for reason in found.reasons] == ["organization/gently"]
 
 
+@pytest.mark.parametrize("known", [False, True], ids=["covered by what was in force", "covered by its authorization"])
+def test_the_version_that_an_agent_asked_for_is_its_own_capabilitys_and_not_of_what_recovers_it(known: bool) -> None:
+    pinned = replace(GRASP, version="1.0.0")
+    capability = shipped().capabilities["release_and_retract"]
+    later = replace(capability, version="1.0.1")
+    new = replace(
+        shipped(),
+        capabilities={**shipped().capabilities, capability.name: later},
+        gates={
+            pair: replace(gate, capability=later) if gate.capability is capability else gate
+            for pair, gate in shipped().gates.items()
+        },
+    )
+    covered = permitted(shipped()) if known else None
+    assert between(shipped(), new, pinned, covered=covered) is CONFORMS
+    found = between(new, with_rule(REFUSED), pinned, covered=covered)
+    assert [reason.rule for reason in found.reasons] == ["organization/never"]
+
+
 def test_departs_when_what_recovers_it_is_not_enabled_here_any_more() -> None:
     gates = {pair: gate for pair, gate in shipped().gates.items() if pair != ("release_and_retract", HERE)}
     assert codes(between(shipped(), replace(shipped(), gates=gates))) == ["not_in_profile", "not_covered"]
