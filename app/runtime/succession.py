@@ -155,9 +155,9 @@ class Succession:
             present = self._register.newest(question.invocation)
             if question.kind == APPROVAL or present is None:
                 continue
-            told = await self._interventions(present.id)
-            bound = present.policy_version == policy  # since then: to this one it conforms
-            now = [why for body in told if body["policy_version"] == policy and not bound for why in body["reasons"]]
+            # What was said of what it was bound to before is of no matter to what it is bound to now.
+            told = [body for body in await self._interventions(present.id) if body["former"] == present.policy_version]
+            now = [why for body in told if body["policy_version"] == policy for why in body["reasons"]]
             standing = _each(*desk.departed.get(present.id, ()), *now)
             if standing:
                 desk.departed[present.id] = standing

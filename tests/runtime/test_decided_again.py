@@ -657,6 +657,44 @@ async def test_what_a_session_asks_more_of_is_another_question_also_under_the_po
     await cell.expect("launch", launched + 1)
 
 
+async def test_what_a_session_was_held_for_before_it_was_bound_anew_is_asked_of_it_again_after_a_start(
+    house: House,
+) -> None:
+    """It is asked by the policy that the session is bound to: as somebody has approved once, and not for good."""
+    async with house.open() as runtime:
+        cell = await HandCell(runtime).dial()
+        await cell.state()
+        session = await approved(runtime, cell, OPERATOR)
+        await put_in_force(runtime, LOOK)
+        await taken(runtime, cell, session)
+        told = await asked_first(runtime, cell, session, "look", "approval_required")
+        await handed_back(runtime, cell, session, told)
+        await taken(runtime, cell, session)
+        await left(cell, session)
+        await cell.hang_up()
+    async with house.open() as runtime:
+        back = replace(cell, runtime=runtime, heard=[], closed=None, status="escalated")
+        await (await back.dial()).state()
+        question = runtime.desk.pending_for(session)
+        assert question is not None
+        with pytest.raises(Conflict, match="something else by now"):
+            await runtime.desk.resolve(question.id, OPERATOR, "approve", question.digest)
+        asked = runtime.desk.pending_for(session)
+        assert asked is not None
+        assert codes(asked) >= {"control_lapsed", "look", "approval_required"}
+        assert runtime.desk.outdated(asked) is None
+        await runtime.desk.resolve(asked.id, OPERATOR, "approve", asked.digest)
+        await back.expect("launch")
+        assert permit(back)["approvals"] == [OPERATOR.name]
+
+
+async def left(cell: HandCell, session: str) -> None:
+    """Have a cell say that whoever drove has let go without a word."""
+    await cell.report("status", session, status="escalated", reason="control_lapsed")
+    await cell.report("escalation", session, reason="control_lapsed", failure="taken_over")
+    await cell.state(status="escalated")
+
+
 async def test_who_may_not_let_go_on_alone_what_was_left_is_told_to_deny_it(
     house: House, runtime: Runtime, cell: HandCell
 ) -> None:
