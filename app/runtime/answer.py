@@ -326,11 +326,13 @@ class Answer:
             RecordUnavailable: nothing more is asked; the next answer meets the same.
         """
         now, present = self._register.now(), self._escalation
-        reasons = [*present.reasons, *(why for why in reasons_document(need.reasons) if why not in present.reasons)]
+        wanted = reasons_document(need.reasons)
+        reasons = [*present.reasons, *(why for why in wanted if why not in present.reasons)]
         bound = bound_digest(self._invocation, present.effective, reasons, present.phase, carried=carried)
         asked = present.evolve(now, reasons=reasons, digest=bound, carried=carried, acknowledged=())
         shown = self._invocation.evolve(now, escalation=asked.reference())
         await self._questions.commit([escalation_event(asked)], asked, shown)
+        self._questions.asked_for(present.invocation, wanted)
         raise _asked_anew(reasons)
 
     async def end(self, why: Denial) -> Escalation:

@@ -67,9 +67,6 @@ class Desk(Questions):
     def __init__(self, register: Register, fleet: Fleet, kernel: Kernel) -> None:
         """Take where changes are recorded, where orders go, and who decides."""
         super().__init__(register, fleet, kernel)
-        self.departed: dict[str, list[dict[str, str]]] = {}  # why sessions do not conform to the policy in force
-        self.conformed: dict[str, list[dict[str, str]]] = {}  # why they did not to one before it
-        self.holding: dict[str, float] = {}  # sessions that policy has hold and have not said so; when they were told
         self.reviews = Reviews(register, kernel)
         self.decide_again: Callable[[], Awaitable[None]] = _nothing_waits
 

@@ -688,6 +688,30 @@ async def test_what_a_session_was_held_for_before_it_was_bound_anew_is_asked_of_
         assert permit(back)["approvals"] == [OPERATOR.name]
 
 
+async def test_what_a_policy_asks_from_here_is_answered_although_one_that_gave_way_asked_it_as_well(
+    house: House, runtime: Runtime, cell: HandCell
+) -> None:
+    session, before = await approved(runtime, cell, OPERATOR_2), runtime.kernel.policy.digest
+    await put_in_force(runtime, TWO)
+    for engineer in (ENGINEER, ENGINEER_2):
+        await runtime.versions.activate(before, engineer, "no need")
+    await taken(runtime, cell, session)
+    house.withdrawn.add(OPERATOR_2.name)
+    await left(cell, session)
+    question = runtime.desk.pending_for(session)
+    assert question is not None
+    with pytest.raises(Conflict, match="something else by now"):
+        await runtime.desk.resolve(question.id, OPERATOR, "approve", question.digest)
+    asked = runtime.desk.pending_for(session)
+    assert asked is not None
+    assert codes(asked) == {"control_lapsed", "approval_required"}
+    assert runtime.desk.outdated(asked) is None
+    launched = len(cell.all("launch"))
+    await runtime.desk.resolve(asked.id, OPERATOR, "approve", asked.digest)
+    await cell.expect("launch", launched + 1)
+    assert permit(cell)["approvals"] == [OPERATOR.name]
+
+
 async def left(cell: HandCell, session: str) -> None:
     """Have a cell say that whoever drove has let go without a word."""
     await cell.report("status", session, status="escalated", reason="control_lapsed")
