@@ -289,6 +289,7 @@ class Session(Governing):
 
     def _bind_anew(self, grant: Grant, then: Bind) -> None:
         run, substrate, permit = self.run, self._substrate, grant.authorization
+        substrate.unbind()  # what was bound before, where the hand had not come to drive
         try:
             plan, recovery = self._ports.plan_of(grant)
             run.skill = substrate.bind(grant, permit.capability, permit.params, careful=then.careful)

@@ -134,6 +134,8 @@ class FakeCell:
             raise SubstrateError("not_covered", f"`{capability}`")
         if not self.powered:
             raise SubstrateError("power_off", "reset first")
+        if self._grant is not None and self._grant.authorization.id != grant.authorization.id:
+            raise SubstrateError("busy", "another grant is bound")
         if capability in self.refuses:
             raise SubstrateError(self.refuses[capability], capability)
         self._grant = grant

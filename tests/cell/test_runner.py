@@ -1137,6 +1137,24 @@ def test_a_hold_that_a_recovery_was_to_end_in_is_over_once_a_human_has_taken_ove
     assert not rig.of("escalation")
 
 
+@pytest.mark.parametrize("left", [False, True], ids=["handed back", "let go of"])
+def test_what_is_taken_over_and_given_back_before_it_stands_is_bound_anew(rig: Rig, left: bool) -> None:
+    rig.cell.script.ticks = 500
+    rig.launch()
+    rig.ticks(100)
+    assert rig.moving()
+    assert rig.runner.launch(signed(id="auth-2", capability="takeover"), anew=True) is None
+    rig.ticks(2)
+    if left:
+        assert rig.runner.human("inv-1", "let_go", "server") is None
+        rig.ticks(100)
+        assert rig.runner.status == "escalated"
+    assert rig.runner.launch(signed(id="auth-3"), anew=True) is None
+    assert rig.finish()["outcome"] == "recovered"
+    assert [capability for capability, *_ in rig.cell.bound] == ["grasp_object", "grasp_object"]
+    assert not [body for body in rig.of("launch") if "refused" in body]
+
+
 # -- confirmations ---------------------------------------------------------------------------------------------------
 
 
