@@ -20,7 +20,7 @@ import contextlib
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final
 
-from app.audit.errors import RecordUnavailable
+from app.audit.errors import RecordUnavailable, RowUnreadable
 from app.audit.event import EventDraft
 from app.clock import monotonic_s, rfc3339
 from app.governance.authority import need
@@ -87,7 +87,7 @@ class Succession:
         kept = {digest: policy for digest, policy in self._policies.items() if digest in needed}
         kept[present.digest] = present
         for digest in needed - kept.keys():
-            with contextlib.suppress(NotFound, PolicyErrors):  # a session whose policy nobody knows departs from any
+            with contextlib.suppress(NotFound, RowUnreadable, PolicyErrors):  # what nobody knows departs from any
                 kept[digest] = await compiled(digest)
         self._policies = kept
 

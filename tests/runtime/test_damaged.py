@@ -16,6 +16,7 @@ from app.runtime.grant import GrantRequest
 
 from .conftest import AGENT, CELL, ENGINEER, OPERATOR, HandCell, House, grasp, navigate, until
 from .test_fleet import running
+from .test_versions import FASTER, SLOWER, put_in_force
 
 pytestmark = pytest.mark.anyio
 
@@ -199,3 +200,26 @@ async def test_a_session_that_waits_although_it_was_answered_is_asked_about_what
         assert anew is not None
         assert (anew.reasons[0]["code"], anew.phase) == ("not_gone_on", "release")
         assert cell.ops() == ["confirm"]
+
+
+@pytest.mark.parametrize("wrong", NONSENSE)
+async def test_a_session_departs_from_any_policy_when_nobody_can_read_its_own(house: House, wrong: str) -> None:
+    async with house.open() as first:
+        cell = await HandCell(first).dial()
+        await cell.state()
+        name, under = await running(first, cell), first.kernel.policy.digest
+        await put_in_force(first, FASTER)
+        assert cell.ops() == []
+        await cell.hang_up()
+    damage(house, "policy_files", NONSENSE[wrong], f"digest = '{under}'")
+    house.sound = False
+    async with house.open() as second:
+        back = await HandCell(second, seq=cell.seq, invocation=name, status="escalated").dial()
+        await back.state()
+
+        def asked() -> bool:
+            question = second.desk.pending_for(name)
+            return question is not None and "its_policy_is_gone" in {why["code"] for why in question.reasons}
+
+        await until(asked)
+        assert await put_in_force(second, SLOWER) == second.kernel.policy.digest
