@@ -262,12 +262,14 @@ class Cell:
         elif what == "reset":
             self.itself, self.unheard = False, None
 
-    def forgetful(self, journal: str, last_seq: int) -> bool:
-        """Say whether a cell that is back with this journal cannot know of a stop any more that it may have had.
+    def forgetful(self, hello: Hello) -> bool:
+        """Say whether a cell that is back cannot know of a stop any more that it may have had.
 
-        It is another journal, or an older copy of the one it had, which ends before what the log holds of it.
+        Its journal is another one, or an older copy of the one it had: that ends before what the log holds of it, or
+        where that ends, for a run may begin with a report, and knows of no stop where the log knows of no reset.
         """
-        lost = journal != self.journal or last_seq < self.up_seq
+        journal, last_seq = hello.journal, hello.last_seq
+        lost = journal != self.journal or last_seq < self.up_seq or (last_seq == self.up_seq and not hello.latched)
         return self.unheard not in {None, journal} or (self.itself and lost)
 
     def lifted(self, since: int) -> None:

@@ -387,7 +387,7 @@ class Fleet:
         cell.lapsed = away_s is None or away_s >= LEASE_MS / 1000
         if "" in cell.taken:  # recorded before journals had names: the numbers go on in this one
             cell.taken[hello.journal] = cell.taken.pop("")
-        cell.latched |= cell.forgetful(hello.journal, hello.last_seq)
+        cell.latched |= cell.forgetful(hello)
         cell.journal = hello.journal  # another one counts for itself, and those before it stay known
         cell.attachment = attachment
         cell.replaced = present is not None

@@ -472,7 +472,11 @@ async def test_a_stop_whose_reset_was_not_heard_is_left_where_its_cell_says_so_w
         assert not (await second.store.ask(latches))[CELL].latched
 
 
-@pytest.mark.parametrize("back", [("jrn-2", 0), ("jrn-1", 1)], ids=["made anew", "an older copy"])
+@pytest.mark.parametrize(
+    "back",
+    [("jrn-2", 0), ("jrn-1", 1), ("jrn-1", 2)],
+    ids=["made anew", "an older copy", "an older copy that a run has begun with a report of its own"],
+)
 async def test_a_stop_that_a_cell_latched_by_itself_outlives_its_folder_while_the_server_runs(
     house: House, back: tuple[str, int]
 ) -> None:
