@@ -21,6 +21,7 @@ from app.runtime.assembly import Runtime
 from app.runtime.errors import Conflict, ExaminationFailed, Forbidden, NotFound
 from app.runtime.examining import Candidate, Examined
 from app.runtime.invocation import Principal, ProposalRequest
+from app.runtime.succession import AGAIN_S
 from app.runtime.version import files_row
 from tests.examining import examine_here
 from tests.runtime.conftest import (
@@ -715,6 +716,27 @@ async def test_where_only_a_humans_word_is_missing_one_lets_the_session_go_on(ru
     assert question is not None
     await runtime.desk.resolve(question.id, OPERATOR, "approve", question.digest)
     await until(lambda: "resolve_continue" in cell.ops())
+
+
+async def test_a_session_that_somebody_let_go_on_at_once_is_not_held_for_the_same_again(
+    runtime: Runtime, cell: HandCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    hold_again = runtime.succession.hold_again
+    monkeypatch.setattr(runtime.succession, "hold_again", lambda: None)  # nobody looks while it waits
+    made = await running(runtime, cell)
+    await runtime.versions.activate(await brought(runtime, ASKING), ENGINEER, "look first")
+    await cell.report("status", made["id"], status="escalated", reason="policy_changed")
+    await cell.report("escalation", made["id"], reason="policy_changed")
+    question = runtime.desk.pending_for(made["id"])
+    assert question is not None
+    await runtime.desk.resolve(question.id, OPERATOR, "approve", question.digest)
+    await cell.report("human", made["id"], op="resolve_continue")
+    await cell.report("status", made["id"], status="running", reason="operator")
+    await asyncio.sleep(AGAIN_S)
+    hold_again()
+    heard = len(cell.heard)
+    await until(lambda: len(cell.heard) > heard)  # a beat, at least
+    assert cell.ops() == ["escalate", "resolve_continue"]
 
 
 @pytest.mark.parametrize("phase", [None, "drive"])
