@@ -151,7 +151,8 @@ class Handbacks:
             word = self._word("release", present, principal, document, then="resume", **approves)
             remedy = "hand back again, roll it back, or end it"
             async with going_on(self.desk, cell, found, decided, "resume", remedy) as launch:
-                version = self._given_back(cell, launch.invocation, "resume")
+                terms = replace(launch.invocation.terms, undone_by=None)  # it goes on: its agent may end it as well
+                version = self._given_back(cell, launch.invocation, "resume", terms=terms)
                 await self.register.append([word, *launch.events], launch.rows, [version])
 
     async def _roll_back(self, cell: Cell, control: Control, principal: Principal, decided: Moment) -> None:

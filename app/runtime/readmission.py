@@ -137,7 +137,7 @@ async def going_on(
     present, judgement = found.session, found.judgement
     try:
         async with desk.kernel.launch(present, judgement, found.approvals, anew=decided) as launch:
-            terms = replace(launch.invocation.terms, undone_by=None)  # it goes on: its agent may end it as well
+            terms = launch.invocation.terms
             with desk.grants.use(judgement.grant) as used:
                 yield Launching(
                     invocation=replace(present, terms=terms, policy_version=judgement.policy.digest),

@@ -712,6 +712,40 @@ async def test_what_a_policy_asks_from_here_is_answered_although_one_that_gave_w
     assert permit(cell)["approvals"] == [OPERATOR.name]
 
 
+async def test_an_answer_that_comes_behind_a_rollback_leaves_its_end_to_people(
+    runtime: Runtime, cell: HandCell
+) -> None:
+    session = await approved(runtime, cell, OPERATOR_2)
+    await taken(runtime, cell, session)
+    await left(cell, session)
+    question = runtime.desk.pending_for(session)
+    assert question is not None
+    await runtime.governor.rollback(session, OPERATOR_2)
+    await runtime.desk.resolve(question.id, OPERATOR, "approve", question.digest)  # the cell has not said a word yet
+    await cell.expect("launch", 3)
+    assert cell.ops()[-1] == "rollback"
+    await cell.report("status", session, status="recovering", reason="ROLLBACK")
+    await cell.report("human", session, op="rollback")
+    await cell.report("launch", session, refused="busy", permit=permit(cell)["id"])
+    with pytest.raises(Conflict) as refused:
+        await runtime.governor.cancel(session, AGENT)
+    assert refused.value.code == "rollback_ordered"
+
+
+async def test_what_goes_on_by_an_answer_after_all_its_agent_may_end_as_well(runtime: Runtime, cell: HandCell) -> None:
+    session = await approved(runtime, cell, OPERATOR_2)
+    await runtime.governor.rollback(session, OPERATOR_2)
+    await taken(runtime, cell, session)
+    await left(cell, session)
+    question = runtime.desk.pending_for(session)
+    assert question is not None
+    await runtime.desk.resolve(question.id, OPERATOR, "approve", question.digest)
+    await cell.report("launch", session, permit=permit(cell)["id"])
+    await cell.report("status", session, status="recovering", reason="handed_back")
+    await cell.report("status", session, status="running", reason="handed_back")
+    await runtime.governor.cancel(session, AGENT)
+
+
 async def left(cell: HandCell, session: str) -> None:
     """Have a cell say that whoever drove has let go without a word."""
     await cell.report("status", session, status="escalated", reason="control_lapsed")
