@@ -214,6 +214,8 @@ def _watched_tighter(old: PolicySet, new: PolicySet, proposal: Proposal, context
     pair = (proposal.capability, context.profile)
     if pair not in new.gates:
         return []  # which admission says
+    if pair not in old.gates:
+        return [GONE]
     plans = [watch_plan(policy, *pair, proposal.params, proposal.mode) for policy in (old, new)]
     return [_news("watched_tighter", f"{what} tighter now") for what in _stricter(*plans)]
 

@@ -360,6 +360,16 @@ def test_departs_when_what_recovers_it_is_not_enabled_here_any_more() -> None:
     assert codes(between(shipped(), replace(shipped(), gates=gates))) == ["not_in_profile", "not_covered"]
 
 
+def test_departs_when_what_recovers_it_is_none_of_the_policy_it_is_said_to_be_bound_to() -> None:
+    """A hand-back that was recorded and never sent leaves what recovers a session as it was before."""
+    name = "release_and_retract"
+    gates = {pair: gate for pair, gate in shipped().gates.items() if pair[0] != name}
+    capabilities = {known: one for known, one in shipped().capabilities.items() if known != name}
+    old = replace(shipped(), gates=gates, capabilities=capabilities)
+    found = between(old, shipped(), covered=permitted(shipped()))
+    assert codes(found) == ["its_policy_is_gone"]
+
+
 def test_departs_when_what_recovers_it_would_be_watched_more_strictly() -> None:
     rows = shipped().profiles[HERE].watch
     slower = replace(rows[0], id="gently", applies_to=frozenset({"release_and_retract"}))
