@@ -6,7 +6,7 @@ say is no news, and what the new one leaves freer touches only what starts later
 
 | the new policy | the session |
 |---|---|
-| does not admit it (capability, profile, permission, mode, names) | departs |
+| does not admit it (capability, profile, permission, mode, names), or takes other parameters for it | departs |
 | denies it, or holds its parameters tighter | departs |
 | watches it more strictly, recovers it less or otherwise, or has a further phase confirmed | departs |
 | has people asked about what recovers it, denies that, or holds or watches it tighter | departs |
@@ -83,6 +83,8 @@ def departure(
         covered: the recoveries that its authorization covers, whatever the world was like then; None where they are
             not known: then what the old policy would have covered in the world as it is now.
     """
+    if misfits := _misfits(old, new, proposal):  # nothing could be asked about those
+        return Departure(reasons=misfits)
     admission, verdict = admit(new, proposal, context), check(new, proposal, context)
     if old is None:
         refused = admission.reasons if admission.outcome is AdmissionOutcome.REJECT else verdict.reasons
@@ -106,6 +108,18 @@ def _as_known_by(policy: PolicySet, context: Context) -> Context:
     """Return Γ_t with the agent as another policy knows it: a permission that was taken away is news."""
     name = context.agent.name
     return replace(context, agent=policy.governance() if name == GOVERNANCE else policy.agent(name))
+
+
+def _misfits(old: PolicySet | None, new: PolicySet, proposal: Proposal) -> tuple[Reason, ...]:
+    """Return why what runs has other parameters than its capability takes by now; what both say is no news."""
+    found, known = (
+        None if policy is None else policy.validate_params(proposal.capability, proposal.params, proposal.version)
+        for policy in (new, old)
+    )
+    if not isinstance(found, tuple) or found == known:
+        return ()
+    takes = f"`{proposal.capability}` takes other parameters now"
+    return tuple(_news("params_invalid", f"{takes}: {problem.message}") for problem in found)
 
 
 def _rejected(admission: Admission, before: Admission) -> tuple[Reason, ...]:
@@ -175,6 +189,9 @@ def _recovered(
     by_old, by_new = (replace(known, agent=acting_for(known.agent)) for known in (then, context))
     found = list[Reason]()
     for runs in covered:
+        if misfits := _misfits(old, new, runs):
+            found += misfits
+            continue
         before, said = admit(old, runs, by_old), check(old, runs, by_old)
         admission, verdict = admit(new, runs, by_new), check(new, runs, by_new)
         news = (*_rejected(admission, before), *_held(verdict, said, runs))

@@ -10,7 +10,7 @@ from app.audit.event import EventDraft
 from app.audit.projection import NOT_SENT
 from app.governance.model import EventKind, Reason
 from app.runtime.drafts import GRANTED, SERVER
-from app.runtime.errors import Conflict, GaveWay
+from app.runtime.errors import Conflict, GaveWay, InvalidParams
 from app.runtime.escalation import PROFILE_CHANGED
 from app.runtime.hands import LAPSED
 from app.runtime.identity import digest
@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from app.runtime.questions import Questions
 
 RULE: Final = "authority/takeover"
+PROPOSE: Final = "roll it back or end it, and propose it again"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -60,6 +61,11 @@ async def readmitted(desk: Questions, cell: Cell, present: Invocation, principal
     said, shown = await _approvals(desk, present)
     approvals = tuple(name for name in said if desk.grants.may_give(name))
     effective = dict(present.effective or {})
+    try:
+        desk.kernel.fill_in(present.capability, effective, present.terms.version)
+    except InvalidParams as error:
+        other = Reason(RULE, "params_invalid", f"the capability takes other parameters now: {error}", PROPOSE)
+        raise _refused("it cannot go on with what it was launched with", (other,)) from error
     judgement = desk.kernel.judge(present.proposal(effective), present.agent, cell, within=present)
     if cell.profile != present.profile:
         raise _refused("the profile that it was launched under gave way", (_gave_way(cell, present),))
@@ -170,7 +176,7 @@ def _refused(message: str, reasons: Sequence[Reason], bound: str | None = None) 
 
 def _gave_way(cell: Cell, present: Invocation) -> Reason:
     message = f"`{cell.id}` is under {cell.profile} by now, and this was launched under {present.profile}"
-    return Reason(RULE, PROFILE_CHANGED, message, "roll it back or end it, and propose it again")
+    return Reason(RULE, PROFILE_CHANGED, message, PROPOSE)
 
 
 async def _approvals(desk: Questions, present: Invocation) -> tuple[tuple[str, ...], frozenset[tuple[str, str, str]]]:

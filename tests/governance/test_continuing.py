@@ -92,6 +92,33 @@ def test_a_session_whose_policy_nobody_knows_departs_from_any() -> None:
     assert codes(between(nowhere, shipped())) == ["its_policy_is_gone"]
 
 
+RENAMED = tuple(
+    ("capabilities/operate_tool.yaml", before, after)
+    for before, after in (("[tool, action]", "[device, action]"), ("    tool: {", "    device: {"))
+)
+PULL = proposal("operate_tool", tool="lever", action="pull_down", force_n=60, speed_mps=0.1)
+
+
+def test_departs_when_its_capability_takes_other_parameters_by_now() -> None:
+    other = edited(*RENAMED)
+    for old in (shipped(), None):
+        found = between(old, other, PULL)
+        assert set(codes(found)) == {"params_invalid"}
+        assert not found.askable
+        assert all("`operate_tool` takes other parameters now" in reason.message for reason in found.reasons)
+    slow = replace(GRASP, params={**GRASP.params, "speed_mps": 0.01})
+    assert between(shipped(), with_profile(), slow) is CONFORMS, "policy has held it to less than its capability takes"
+
+
+def test_departs_when_what_recovers_it_takes_other_parameters_by_now() -> None:
+    other = edited(
+        ("capabilities/release_and_retract.yaml", "    speed_mps: {", "    pace_mps: {"),
+    )
+    found = between(shipped(), other, covered=permitted(shipped()))
+    assert set(codes(found)) == {"params_invalid"}
+    assert "`release_and_retract` takes other parameters now" in found.reasons[0].message
+
+
 # -- admission ---------------------------------------------------------------------------------------------------------
 
 

@@ -23,6 +23,7 @@ from app.runtime.escalation import Escalation
 from app.runtime.grant import GrantRequest
 from app.runtime.invocation import Principal, ProposalRequest
 from app.runtime.register import Register
+from app.runtime.succession import AGAIN_S
 
 from .conftest import (
     AGENT,
@@ -744,6 +745,33 @@ async def test_what_goes_on_by_an_answer_after_all_its_agent_may_end_as_well(run
     await cell.report("status", session, status="recovering", reason="handed_back")
     await cell.report("status", session, status="running", reason="handed_back")
     await runtime.governor.cancel(session, AGENT)
+
+
+async def test_a_session_whose_capability_takes_other_parameters_by_now_is_held_and_goes_on_by_nobody(
+    house: House,
+) -> None:
+    """So are all others that depart; and a start says the same."""
+    manifest = "capabilities/operate_tool.yaml"
+    renamed = edited(manifest, "[tool, action]", "[device, action]", edited(manifest, "    tool: {", "    device: {"))
+    renamed = edited(manifest, "version: 1.0.0", "version: 2.0.0", renamed)
+    renamed = {name: text for name, text in renamed.items() if not name.startswith("tests/")}
+    async with house.open() as runtime:
+        cell = await HandCell(runtime, facts=dict(AT_TOOLS)).dial()
+        await cell.state()
+        lever = ProposalRequest(capability="operate_tool", params={"tool": "lever", "action": "pull_down"})
+        session = await approved(runtime, cell, OPERATOR, lever)
+        await put_in_force(runtime, renamed)
+        await until(lambda: "escalate" in cell.ops())
+        await cell.report("status", session, status="escalated", reason="policy_changed")
+        await asyncio.sleep(2 * AGAIN_S)  # whoever takes it before that has it taken back
+        await taken(runtime, cell, session)
+        async with stating(cell, status="running"):
+            with pytest.raises(Conflict) as refused:
+                await runtime.governor.release(session, OPERATOR, "resume")
+        assert [why["code"] for why in refused.value.reasons] == ["params_invalid"]
+        await cell.hang_up()
+    async with house.open() as runtime:
+        assert {why["code"] for why in runtime.desk.departed[session]} == {"params_invalid"}
 
 
 async def left(cell: HandCell, session: str) -> None:
