@@ -81,6 +81,29 @@ def test_no_letter_decides_a_question_while_its_reader_drives(
     assert floor.settled(asked["id"])["status"] == "denied"
 
 
+def test_who_goes_on_choosing_in_a_list_that_is_gone_drives_nothing_by_it(
+    server: ServerProcess, people: People, floor: Floor
+) -> None:
+    person = people.sit(server, init=LISTENING)
+    asked = floor.ask()
+    expect(person.page.get_by_role("article", name="Grasp mug_1")).to_be_visible()
+    offered(person, DESK).click()
+    expect(person.page.get_by_text(LET_GO)).to_be_visible()
+    person.button(re.compile("^Deny")).click()
+    expect(person.page.get_by_label("Reason if denied")).to_be_focused()
+    person.press("ArrowDown")
+    floor.answer(asked, "deny")  # as somebody else may
+    expect(person.page.get_by_role("article")).to_have_count(0)
+    person.page.keyboard.down("ArrowDown")
+    person.page.wait_for_timeout(200)  # for what the page would say to the robot
+    person.page.keyboard.up("ArrowDown")
+    assert person.page.evaluate(PUSHES) == 0
+    person.press("Escape")
+    person.page.keyboard.down("ArrowDown")  # whoever means the robot is heard
+    until(lambda: person.page.evaluate(PUSHES) > 0, what="a key that drives")
+    person.page.keyboard.up("ArrowDown")
+
+
 def test_the_key_that_drove_answers_nothing_where_the_controls_are_lost_while_it_is_held(
     server: ServerProcess, people: People, floor: Floor
 ) -> None:

@@ -54,8 +54,11 @@ export function pressedBySpace(target: { tagName?: string; type?: string } | nul
 const GOES_ON_MS = 2_000;
 /** These lead out of a field. */
 const LEAVES: ReadonlySet<string> = new Set(['Tab', 'Escape']);
-/** These are pressed in the midst of typing, and are no signs: an input method that composes names no key but itself. */
-const WITHIN: ReadonlySet<string> = new Set(['Enter', 'Backspace', 'Delete', 'Dead', 'Process', 'Unidentified']);
+/** These are pressed in the midst of typing, or of choosing in a list, and are no signs: an input method that composes names no key but itself. */
+const WITHIN: ReadonlySet<string> = new Set([
+  ...['Enter', 'Backspace', 'Delete', 'Dead', 'Compose', 'Process', 'Unidentified'],
+  ...['ArrowLeft', 'ArrowRight', 'ArrowUp', 'ArrowDown', 'Home', 'End', 'PageUp', 'PageDown'],
+]);
 /** These say nothing of where one is. */
 const WITH_OTHERS: ReadonlySet<string> = new Set(['Shift', 'Control', 'Alt', 'AltGraph', 'Meta', 'CapsLock']);
 
