@@ -233,6 +233,25 @@ def test_a_reset_pressed_twice_goes_no_further_than_its_first_step(
         expect(here.get_by_role("button", name="Reset…")).to_have_count(0)  # or the next one would be taken for it
 
 
+def test_escape_keeps_a_cell_stopped_before_it_closes_the_panel_for_driving(
+    server: ServerProcess, people: People, floor: Floor
+) -> None:
+    person = people.sit(server)
+    panel, keep = person.region("Drive by hand"), person.button("Keep stopped")
+    person.press("t")
+    expect(panel).to_be_visible()
+    person.press(".")
+    person.button("Reset…").click()
+    expect(keep).to_be_focused()
+    person.press("Escape")
+    expect(keep).to_have_count(0)
+    expect(panel).to_be_visible()
+    expect(person.button("Reset…")).to_be_focused()
+    person.press("Escape")
+    expect(panel).to_have_count(0)
+    assert server.cell()["latched"] is True
+
+
 def test_a_cell_that_is_kept_stopped_stays_so_though_its_reset_was_on_its_way(
     server: ServerProcess, people: People, floor: Floor
 ) -> None:

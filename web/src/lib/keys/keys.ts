@@ -50,6 +50,11 @@ export function pressedBySpace(target: { tagName?: string; type?: string } | nul
   return ['BUTTON', 'SUMMARY', 'SELECT'].includes(target?.tagName ?? '');
 }
 
+/** Whether Escape takes back there what was begun, before it closes anything around it. */
+export function takesEscape(target: Element | null): boolean {
+  return target?.closest('[data-takes-escape]') != null;
+}
+
 /** What follows within so long upon what was typed, or upon its field being gone, is typed as well, unless one went elsewhere meanwhile. */
 const GOES_ON_MS = 2_000;
 /** These lead out of a field. */
