@@ -7,6 +7,8 @@ import re
 import pytest
 from playwright.sync_api import Locator, expect
 
+from app.api.auth import issue_token
+from app.governance.model import Role
 from tests.conftest import ServerProcess, until
 from tests.console.conftest import (
     ANSWERS,
@@ -153,6 +155,41 @@ def readable(row: Locator) -> bool:
         """(row) => { const {x, y, width, bottom} = row.getBoundingClientRect();
         return [y + 3, bottom - 3].every((at) => row.contains(document.elementFromPoint(x + width / 2, at))); }"""
     )
+
+
+def test_what_somebody_changes_again_is_read_again_before_a_finger_approves_it(
+    server: ServerProcess, people: People, floor: Floor
+) -> None:
+    server.tokens["operator_3"] = issue_token(server.data, name="operator_3", role=Role.OPERATOR, station=None)
+    asked = floor.ask("driver_1")
+    path = f"/v1/escalations/{asked['escalation']['id']}"
+
+    def changed(key: str, **params: float) -> int:
+        answer = {"decision": "approve", "digest": server.get(path)["digest"], "params": params}
+        return server.post(f"{path}/resolve", answer, key=key).status_code
+
+    until(lambda: changed("operator_3", speed_mps=0.05) == 200, what="a third operator")  # whose token has come
+    person = people.sit(server, size=PHONE)
+    approve, read = person.button(re.compile("^Approve")), person.button("Read it first")
+    expect(person.button(re.compile("^Deny"))).to_be_enabled()
+    read_all(person)
+    # Of all that is asked, the last line alone is on the screen.
+    last = person.page.get_by_role("article").locator("tbody tr").last
+    last.evaluate(
+        """(row) => { const page = document.getElementById('page');
+        page.scrollTop += row.getBoundingClientRect().top - page.getBoundingClientRect().top - 8; }"""
+    )
+    expect(approve).to_be_enabled()
+    assert changed("operator_2", speed_mps=0.25) == 200
+    expect(read).to_be_visible()
+    expect(approve).to_have_count(0)
+    person.press("a")
+    read_all(person)
+    assert server.get(f"/v1/invocations/{asked['id']}")["status"] == "awaiting_approval"
+    expect(approve).to_be_enabled()
+    approve.tap()
+    floor.settled(asked["id"])
+    assert server.get(f"/v1/invocations/{asked['id']}")["effective"]["speed_mps"] == 0.25
 
 
 def test_what_a_profile_changes_is_read_from_its_top_with_the_answers_in_sight(

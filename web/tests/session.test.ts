@@ -116,4 +116,21 @@ describe('what is asked', () => {
     expect(made.read).toBe(true);
     vi.useRealTimers();
   });
+
+  it('is read anew once something else is asked: what stays in sight for as long again, and the rest where it stands', () => {
+    vi.useFakeTimers();
+    const made = sight();
+    for (const part of [reasons, values]) made.note(part, true);
+    vi.advanceTimersByTime(READ_MS);
+    made.note(values, false);
+    expect(made.read).toBe(true);
+    made.anew();
+    expect(made.unread).toEqual([reasons, values]);
+    vi.advanceTimersByTime(READ_MS);
+    expect([made.read, made.unread]).toEqual([false, [values]]);
+    made.note(values, true);
+    vi.advanceTimersByTime(READ_MS);
+    expect(made.read).toBe(true);
+    vi.useRealTimers();
+  });
 });

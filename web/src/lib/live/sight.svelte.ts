@@ -37,6 +37,14 @@ export class Sight {
     return this.parts.filter((part) => !part.seen).map(({ element }) => element).sort((a, b) => (a.compareDocumentPosition(b) === FOLLOWS ? -1 : 1));
   }
 
+  /** Other words and values stand there from now on: what was read is to be read again. */
+  anew(): void {
+    for (const { element, here } of this.parts) {
+      this.put(element, { seen: false });
+      if (here) this.note(element, true);
+    }
+  }
+
   /** Watches one part; returns how to end that. */
   watch(element: Element): () => void {
     untrack(() => (this.parts = [...this.parts, { element, here: false, seen: false }])); // to watch is not to look
