@@ -104,6 +104,28 @@ def test_who_goes_on_choosing_in_a_list_that_is_gone_drives_nothing_by_it(
     person.page.keyboard.up("ArrowDown")
 
 
+def test_whoever_presses_a_shortcut_too_soon_upon_what_they_typed_is_told_that_it_was_not_heard(
+    server: ServerProcess, people: People, floor: Floor
+) -> None:
+    person = people.sit(server)
+    paused = listed(person, "/pause")
+    asked = floor.ask()
+    missed = person.page.get_by_role("status").filter(has_text="Shortcut P not heard: you were typing.")
+    person.page.get_by_label(re.compile("^Speed you approve")).press_sequentially("0")
+    running = floor.drive_off()
+    expect(person.button("Pause")).to_be_enabled()
+    floor.answer(asked, "deny")  # as somebody else may
+    expect(person.page.get_by_role("article")).to_have_count(0)
+    person.press("p")
+    expect(missed).to_be_visible()
+    assert paused == []
+    person.page.wait_for_timeout(2_000)
+    person.press("p")
+    until(lambda: paused or person.page.wait_for_timeout(20), what="a pause")
+    expect(missed).to_have_count(0)
+    assert server.await_status(running["id"], "paused")["status"] == "paused"
+
+
 def test_the_key_that_drove_answers_nothing_where_the_controls_are_lost_while_it_is_held(
     server: ServerProcess, people: People, floor: Floor
 ) -> None:

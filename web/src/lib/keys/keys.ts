@@ -107,6 +107,7 @@ function named({ key }: { key: string }): string {
 export class Keys {
   private readonly shortcuts: Shortcut[] = [];
   private stop: () => void = () => undefined;
+  private missed: (key: string) => void = () => undefined;
   private covers = 0;
   private reserved: readonly { kept: ReadonlySet<string>; untilMs: number; stillMs: number }[] = [];
   /** When one was last at what takes letters; NaN where one went elsewhere since, by a finger or a key. */
@@ -171,6 +172,11 @@ export class Keys {
     this.stop = run;
   }
 
+  /** Tells of a shortcut that was not heard, since it came upon what was typed: whoever meant it presses it again. */
+  onMissed(tell: (key: string) => void): void {
+    this.missed = tell;
+  }
+
   list(): Shortcut[] {
     return [...new Map(this.shortcuts.map((shortcut) => [shortcut.key, shortcut])).values()];
   }
@@ -182,12 +188,19 @@ export class Keys {
       if (typing) this.typedMs = NaN; // whoever stops has done with typing
       return true;
     }
-    const kept = this.keeps(event);
-    if (this.typed(event, letters)) return true;
-    if (kept || !mayBeShortcut(event, letters) || this.ignores(event)) return false;
+    const barred = this.keeps(event) || !mayBeShortcut(event, letters) || this.ignores(event);
+    const meant = barred ? [] : this.meantBy(event);
+    if (this.typed(event, letters)) {
+      if (meant.length > 0) this.missed(named(event));
+      return true;
+    }
+    return meant.findLast((known) => known.run() !== false) !== undefined;
+  }
+
+  /** The registrations of a key that count now. */
+  private meantBy(event: KeyLike): Shortcut[] {
     const wanted = named(event);
-    const counts = (known: Shortcut): boolean => known.key === wanted && (!this.covered || known.everywhere);
-    return this.shortcuts.findLast((known) => counts(known) && known.run() !== false) !== undefined;
+    return this.shortcuts.filter((known) => known.key === wanted && (!this.covered || known.everywhere));
   }
 
   /** Whether it is typed into a field, or a list, that the page took away: then it is no shortcut, and presses nothing. */
