@@ -220,6 +220,33 @@ def test_on_a_phone_nothing_is_covered_while_one_is_asked_and_while_one_drives_a
     assert server.cell()["latched"] is True
 
 
+def test_no_word_of_the_header_is_cut_where_text_is_spaced_out(
+    server: ServerProcess, people: People, floor: Floor
+) -> None:
+    person = people.sit(server)
+    person.press("t")
+    person.button("Take the controls").click()
+    expect(person.page.get_by_text("Hold to run; let go to stop")).to_be_visible()
+    # As WCAG 1.4.12 has it.
+    person.page.evaluate(
+        """() => {
+            const spaced = new CSSStyleSheet();
+            spaced.replaceSync('* { line-height: 1.5 !important; letter-spacing: .12em !important; '
+                + 'word-spacing: .16em !important; } p { margin-bottom: 2em !important; }');
+            document.adoptedStyleSheets = [spaced];
+        }"""
+    )
+    for width in (1920, 1561, 1401, 1280, 1241, 800):
+        resize(person, {"width": width, "height": 900})
+        cut = person.page.locator("header.top dd > span, header.top .stop > span").evaluate_all(
+            """(found) => found.filter((one) => one.scrollWidth > one.clientWidth || one.scrollHeight > one.clientHeight
+            || one.getBoundingClientRect().height > one.parentElement.clientHeight).map((one) => one.textContent)"""
+        )
+        assert cut == [], width
+    person.button("End session").click()
+    expect(person.button("Take the controls")).to_be_visible()
+
+
 def test_the_script_that_runs_by_itself_is_the_one_that_is_sent_with_a_policy_of_its_own() -> None:
     built = read_pages(FOLDER)
     named = rb"assets/worker-[\w-]+\.js"
