@@ -1,4 +1,4 @@
-import { describe, expect, it } from 'vitest';
+import { describe, expect, it, vi } from 'vitest';
 import { DECIDING_KEYS, DRIVING_KEYS } from '../src/lib/jog/bindings';
 import { Keys } from '../src/lib/keys/keys';
 
@@ -26,5 +26,20 @@ describe('the keyboard', () => {
     free();
     keys.single = false;
     expect(follow('p')).toEqual([]);
+  });
+
+  it('takes what is held, or corrected again and again, where a field is gone for typing that goes on', () => {
+    const [keys, ran, now] = [new Keys(), new Array<string>(), vi.spyOn(performance, 'now')];
+    keys.on('a', 'approve', () => ran.push('a'));
+    const press = (name: string, atMs: number, more = {}, typing = false): boolean => (now.mockReturnValue(atMs), keys.press(key(name, more), typing));
+    const held = { repeat: true };
+    for (const [name, more] of [['Backspace', held], ['Backspace', {}], ['ArrowLeft', held], ['x', held]] as const) {
+      press(name, 0, {}, true);
+      for (const ms of [500, 1_500, 2_500, 3_500]) expect([name, press(name, ms, more)]).toEqual([name, true]);
+      expect([name, press('a', 5_000), ran]).toEqual([name, true, []]);
+    }
+    press('ArrowLeft', 10_000, {}, true);
+    expect([press('ArrowLeft', 11_000), press('ArrowLeft', 12_100), press('a', 12_200), ran]).toEqual([true, false, true, ['a']]); // whoever goes on by it means it
+    now.mockRestore();
   });
 });

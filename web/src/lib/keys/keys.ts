@@ -59,11 +59,10 @@ export function takesEscape(target: Element | null): boolean {
 const GOES_ON_MS = 2_000;
 /** These lead out of a field. */
 const LEAVES: ReadonlySet<string> = new Set(['Tab', 'Escape']);
-/** These are pressed in the midst of typing, or of choosing in a list, and are no signs: an input method that composes names no key but itself. */
-const WITHIN: ReadonlySet<string> = new Set([
-  ...['Enter', 'Backspace', 'Delete', 'Dead', 'Compose', 'Process', 'Unidentified'],
-  ...['ArrowLeft', 'ArrowRight', 'ArrowUp', 'ArrowDown', 'Home', 'End', 'PageUp', 'PageDown'],
-]);
+/** These correct what was typed, and are no signs: an input method that composes names no key but itself. */
+const CORRECTS: ReadonlySet<string> = new Set(['Backspace', 'Delete', 'Dead', 'Compose', 'Process', 'Unidentified']);
+/** These are pressed in the midst of typing, or of choosing in a list. */
+const WITHIN: ReadonlySet<string> = new Set([...CORRECTS, 'Enter', 'ArrowLeft', 'ArrowRight', 'ArrowUp', 'ArrowDown', 'Home', 'End', 'PageUp', 'PageDown']);
 /** These say nothing of where one is. */
 const WITH_OTHERS: ReadonlySet<string> = new Set(['Shift', 'Control', 'Alt', 'AltGraph', 'Meta', 'CapsLock']);
 
@@ -211,9 +210,14 @@ export class Keys {
     const goesOn = nowMs - this.typedMs < GOES_ON_MS && (key.length === 1 || WITHIN.has(key));
     if (letters) this.typedMs = LEAVES.has(key) ? NaN : nowMs;
     else if (!goesOn) this.typedMs = NaN;
-    else if (key !== this.sign) this.typedMs = nowMs; // no word goes on by one sign: whoever presses a shortcut again and again is heard
+    else if (this.isMore(event)) this.typedMs = nowMs;
     this.sign = key;
     return goesOn && !letters && isBare(event);
+  }
+
+  /** Whether more is typed by it: no word goes on by one sign, and whoever presses a shortcut again and again is heard. */
+  private isMore({ key, repeat }: KeyLike): boolean {
+    return repeat || key !== this.sign || CORRECTS.has(key);
   }
 
   /** Whether what has the focus by now is not what Space or Enter was meant to press. */
