@@ -98,6 +98,7 @@ def test_who_goes_on_choosing_in_a_list_that_is_gone_drives_nothing_by_it(
     person.page.wait_for_timeout(200)  # for what the page would say to the robot
     person.page.keyboard.up("ArrowDown")
     assert person.page.evaluate(PUSHES) == 0
+    expect(person.page.get_by_role("status").filter(has_text="Key ↓ not heard: you were typing.")).to_be_visible()
     person.press("Escape")
     person.page.keyboard.down("ArrowDown")  # whoever means the robot is heard
     until(lambda: person.page.evaluate(PUSHES) > 0, what="a key that drives")
@@ -110,7 +111,7 @@ def test_whoever_presses_a_shortcut_too_soon_upon_what_they_typed_is_told_that_i
     person = people.sit(server)
     paused = listed(person, "/pause")
     asked = floor.ask()
-    missed = person.page.get_by_role("status").filter(has_text="Shortcut P not heard: you were typing.")
+    missed = person.page.get_by_role("status").filter(has_text="Key P not heard: you were typing.")
     person.page.get_by_label(re.compile("^Speed you approve")).press_sequentially("0")
     running = floor.drive_off()
     expect(person.button("Pause")).to_be_enabled()

@@ -23,7 +23,13 @@ describe('the keyboard', () => {
     uncover();
     const free = keys.reserve(...DRIVING_KEYS, ...DECIDING_KEYS);
     expect(follow('a', 'p')).toEqual(['p']);
+    keys.press(key('c'), true);
+    keys.press(key('ArrowDown', { code: 'ArrowDown' }), false);
+    expect(missed.splice(0)).toEqual(['ArrowDown']); // whoever drives is told why nothing moves
     free();
+    keys.press(key('c'), true);
+    keys.press(key('ArrowDown', { code: 'ArrowDown' }), false);
+    expect(missed).toEqual([]);
     keys.single = false;
     expect(follow('p')).toEqual([]);
   });

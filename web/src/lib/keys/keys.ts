@@ -171,7 +171,7 @@ export class Keys {
     this.stop = run;
   }
 
-  /** Tells of a shortcut that was not heard, since it came upon what was typed: whoever meant it presses it again. */
+  /** Tells of a shortcut, or of a key that drives, that was not heard, since it came upon what was typed: whoever meant it presses it again. */
   onMissed(tell: (key: string) => void): void {
     this.missed = tell;
   }
@@ -189,11 +189,15 @@ export class Keys {
     }
     const barred = this.keeps(event) || !mayBeShortcut(event, letters) || this.ignores(event);
     const meant = barred ? [] : this.meantBy(event);
-    if (this.typed(event, letters)) {
-      if (meant.length > 0) this.missed(named(event));
-      return true;
-    }
-    return meant.findLast((known) => known.run() !== false) !== undefined;
+    if (!this.typed(event, letters)) return meant.findLast((known) => known.run() !== false) !== undefined;
+    this.miss(event, meant.length > 0);
+    return true;
+  }
+
+  /** Tells of a key that was meant for a shortcut, or to drive: those that do are reserved by their place. */
+  private miss(event: KeyLike, meant: boolean): void {
+    const drives = this.reserved.some(({ kept, untilMs }) => untilMs === Infinity && kept.has(event.code));
+    if (meant || (drives && !event.repeat && !this.ignores(event))) this.missed(named(event));
   }
 
   /** The registrations of a key that count now. */

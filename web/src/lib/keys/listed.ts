@@ -67,7 +67,7 @@ export const CAMERA: Group = {
   ],
 };
 
-const SHOWN: Record<string, string> = { ' ': 'Space', ArrowLeft: '←', ArrowRight: '→', Escape: 'Esc', '-': '−' };
+const SHOWN: Record<string, string> = { ' ': 'Space', ArrowUp: '↑', ArrowDown: '↓', ArrowLeft: '←', ArrowRight: '→', Escape: 'Esc', '-': '−' };
 
 export function shownKey(key: string): string {
   return SHOWN[key] ?? key.toUpperCase();
