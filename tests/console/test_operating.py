@@ -112,6 +112,24 @@ def test_a_stop_is_heard_while_a_list_is_open_and_the_letters_there_approve_noth
     assert server.get(f"/v1/invocations/{asked['id']}")["status"] == "awaiting_approval"
 
 
+def test_a_pause_is_heard_where_a_cell_was_chosen_and_another_letter_there_chooses_none_and_is_said_not_to_count(
+    server: ServerProcess, people: People, floor: Floor
+) -> None:
+    person = people.sit(server)
+    asked, drive = floor.ask(), floor.drive_off()
+    expect(person.button("Deny")).to_be_enabled()
+    expect(person.button("Pause")).to_be_enabled()
+    cells = person.page.get_by_label("Cell", exact=True)
+    cells.focus()
+    cells.evaluate("(list) => list.add(new Option('a-line'))")  # as another cell may be called
+    person.press("a")
+    expect(person.page.get_by_role("status").filter(has_text="Key A not heard: a list has the focus.")).to_be_visible()
+    expect(cells).to_have_value("workcell-1")
+    person.press("p")
+    server.await_status(drive["id"], "paused")
+    assert server.get(f"/v1/invocations/{asked['id']}")["status"] == "awaiting_approval"
+
+
 def test_fleet_counts_a_session_from_its_launch_and_not_from_when_it_was_proposed(
     server: ServerProcess, people: People, floor: Floor
 ) -> None:

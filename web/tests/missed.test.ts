@@ -7,7 +7,7 @@ const key = (name: string, more: object = {}) => ({ key: name, code: '', repeat:
 describe('the keyboard', () => {
   it('tells of a shortcut that it takes for typed, and of no other key', () => {
     const [keys, missed] = [new Keys(), new Array<string>()];
-    keys.onMissed((one) => missed.push(one));
+    keys.onMissed((one, by) => missed.push(`${by === 'typed' ? '' : by}${one}`));
     keys.on('p', 'pause', () => undefined, true);
     keys.on('a', 'approve', () => undefined);
     const follow = (...names: string[]): string[] => {
@@ -32,6 +32,15 @@ describe('the keyboard', () => {
     expect(missed).toEqual([]);
     keys.single = false;
     expect(follow('p')).toEqual([]);
+  });
+
+  it('tells of a shortcut that a list keeps, but of those that are heard there', () => {
+    const [keys, told] = [new Keys(), new Array<string>()];
+    keys.onMissed((one, by) => told.push(`${one} ${by}`));
+    for (const one of ['a', 'p']) keys.on(one, one, () => told.push(one));
+    for (const one of ['a', 'w', 'p']) expect(keys.pressBeside(key(one), ['p'])).toBe(true);
+    keys.pressBeside(key('a', { repeat: true }), ['p']);
+    expect(told).toEqual(['a list', 'p']);
   });
 
   it('takes what is held, or corrected again and again, where a field is gone for typing that goes on', () => {

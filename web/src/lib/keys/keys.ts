@@ -9,6 +9,9 @@ export interface Shortcut {
   everywhere: boolean;
 }
 
+/** Why a key was not heard: it came upon what was typed, or a list that has the focus keeps it. */
+export type Missed = 'typed' | 'list';
+
 interface KeyLike {
   key: string;
   /** Which key of the keyboard it is, whatever is printed on it. */
@@ -106,7 +109,7 @@ function named({ key }: { key: string }): string {
 export class Keys {
   private readonly shortcuts: Shortcut[] = [];
   private stop: () => void = () => undefined;
-  private missed: (key: string) => void = () => undefined;
+  private missed: (key: string, by: Missed) => void = () => undefined;
   private covers = 0;
   private reserved: readonly { kept: ReadonlySet<string>; untilMs: number; stillMs: number }[] = [];
   /** When one was last at what takes letters; NaN where one went elsewhere since, by a finger or a key. */
@@ -171,8 +174,8 @@ export class Keys {
     this.stop = run;
   }
 
-  /** Tells of a shortcut, or of a key that drives, that was not heard, since it came upon what was typed: whoever meant it presses it again. */
-  onMissed(tell: (key: string) => void): void {
+  /** Tells of a shortcut, or of a key that drives, that was not heard, and why: whoever meant it presses it again. */
+  onMissed(tell: (key: string, by: Missed) => void): void {
     this.missed = tell;
   }
 
@@ -197,7 +200,7 @@ export class Keys {
   /** Tells of a key that was meant for a shortcut, or to drive: those that do are reserved by their place. */
   private miss(event: KeyLike, meant: boolean): void {
     const drives = this.reserved.some(({ kept, untilMs }) => untilMs === Infinity && kept.has(event.code));
-    if (meant || (drives && !event.repeat && !this.ignores(event))) this.missed(named(event));
+    if (meant || (drives && !event.repeat && !this.ignores(event))) this.missed(named(event), 'typed');
   }
 
   /** The registrations of a key that count now. */
@@ -251,13 +254,14 @@ export class Keys {
   }
 
   /**
-   * Takes a key pressed in a list of choices that stands beside an answer: its letters choose nothing, since whoever
-   * presses one means the answer. Only `restraining` shortcuts are heard there. Returns true when the key was taken.
+   * Takes a key pressed in a list of choices that stands beside an answer, or of cells: its letters choose nothing, since
+   * whoever presses one means the answer, or what is to be done to a cell. Only `restraining` shortcuts are heard there. Returns true when the key was taken.
    */
   pressBeside(event: KeyLike, restraining: readonly string[]): boolean {
     if (this.ignores(event) || event.key.length !== 1 || event.key === ' ' || !isBare(event)) return false;
     this.typedMs = NaN; // it was no choice
-    if (restraining.includes(event.key.toLowerCase())) this.press(event, false);
+    if (restraining.includes(named(event))) this.press(event, false);
+    else if (!event.repeat && this.meantBy(event).length > 0) this.missed(named(event), 'list');
     return true;
   }
 
