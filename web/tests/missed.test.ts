@@ -34,6 +34,14 @@ describe('the keyboard', () => {
     expect(follow('p')).toEqual([]);
   });
 
+  it('hears the pause on a keyboard that is switched to another script, and no answer', () => {
+    const [keys, ran] = [new Keys(), new Array<string>()];
+    for (const one of ['a', 'p']) keys.on(one, one, () => ran.push(one));
+    const press = (letter: string, code: string, typing = false): boolean => keys.press(key(letter, { code }), typing);
+    expect([press('з', 'KeyP'), press('З', 'KeyP'), press('ф', 'KeyA'), press('ø', 'KeyP'), ran.splice(0)]).toEqual([true, true, false, false, ['p', 'p']]);
+    expect([keys.pressBeside(key('פ', { code: 'KeyP' }), ['p']), press('з', 'KeyP', true), ran]).toEqual([true, false, ['p']]);
+  });
+
   it('tells of a shortcut that a list keeps, but of those that are heard there', () => {
     const [keys, told] = [new Keys(), new Array<string>()];
     keys.onMissed((one, by) => told.push(`${one} ${by}`));

@@ -1,3 +1,5 @@
+import { entryOf } from '../format/entry';
+
 /** The keyboard: one listener, shortcuts by key, and the stop that is heard everywhere. */
 export interface Shortcut {
   key: string;
@@ -102,8 +104,13 @@ export function opensSearch(event: KeyLike, typing: boolean): boolean {
   return !typing && (event.key === '/' || event.key === "'") && isBare(event);
 }
 
-function named({ key }: { key: string }): string {
-  return key.length === 1 ? key.toLowerCase() : key;
+/** What restrains is heard by its place where the keyboard is switched to another script: where `P` lies, all that have Latin letters beside have it. */
+const BESIDE: Readonly<Record<string, string>> = { KeyP: 'p' };
+
+/** What a key is called among the shortcuts. */
+function named({ key, code }: { key: string; code: string }): string {
+  if (key.length !== 1) return key;
+  return (key > LAST_LATIN ? entryOf(BESIDE, code) : undefined) ?? key.toLowerCase();
 }
 
 export class Keys {
