@@ -27,4 +27,13 @@ describe('a grant that does not fit', () => {
     await decision.approve();
     expect(decision.problem).toBe('This cannot be allowed in advance: “minutes” “15” is longer than policy allows. Choose “ask me again next time” to approve only this.');
   });
+
+  it('goes with the question that it was chosen for, and not with what is asked in its place', () => {
+    const decision = turnedDown({ title: '', status: 409, code: 'grant_refused', detail: '' });
+    decision.offer = { scope: 'time', minutes: 15 };
+    decision.update(escalation({ acknowledged: [] }));
+    expect(decision.approves).toBe('Approve and allow for 15 min');
+    decision.update(escalation({ digest: 'sha256:other' }));
+    expect([decision.offer, decision.approves]).toEqual([null, 'Approve']);
+  });
 });

@@ -112,11 +112,12 @@ export class Decision {
     this.update(now);
   }
 
-  /** Takes a newer version of the question. Another digest is another question: what was typed no longer stands. */
+  /** Takes a newer version of the question. Another digest is another question: what was typed, or to be allowed in advance, no longer stands. */
   update(newer: Escalation): void {
     if (newer.digest !== this.asked.digest) {
       const lost = this.losing(newer);
       this.discard();
+      this.offer = null;
       this.lost ||= lost;
     }
     this.asked = newer;
