@@ -269,6 +269,12 @@ def _within(steps: list[tuple[Strategy, str | None, int]], wider: list[tuple[Str
     )
 
 
+def not_comparable(error: Exception) -> Departure:
+    """Return how something departs that cannot be compared: nobody knows what the new policy has against it."""
+    why = f"it cannot be compared with the policy in force ({type(error).__name__}: {error}); see the server's log"
+    return Departure(reasons=(_news("not_comparable", why),))
+
+
 GONE: Final = _news("its_policy_is_gone", "the policy it was authorized under is not known here any more")
 
 

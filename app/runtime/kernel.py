@@ -8,6 +8,7 @@ mints: the authorization becomes durable inside the context, and is sent only wh
 from __future__ import annotations
 
 import base64
+import logging
 from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
@@ -18,6 +19,7 @@ from app.audit.event import EventDraft, RowWrite
 from app.clock import monotonic_s
 from app.governance.admission import RETRY_UNMET_S
 from app.governance.authority import handled
+from app.governance.continuing import departure, not_comparable
 from app.governance.control import TAKEOVER
 from app.governance.coverage import covered_recoveries
 from app.governance.decision import Decision, decide
@@ -49,16 +51,19 @@ from app.runtime.invocation import reasons_document
 from app.runtime.link import key_text
 
 if TYPE_CHECKING:
-    from collections.abc import AsyncGenerator, Callable, Mapping
+    from collections.abc import AsyncGenerator, Callable, Mapping, Sequence
 
     from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
+    from app.governance.continuing import Departure
     from app.governance.model import Grant
     from app.governance.policy import ParamProblem, PolicySet
     from app.runtime.cells import Cell
     from app.runtime.fleet import Fleet
     from app.runtime.invocation import Invocation, Principal
     from app.runtime.register import Register
+
+log = logging.getLogger(__name__)
 
 ON_DUTY_S: Final = 120.0  # an operator who was heard within this is on duty
 LAUNCH_WITHIN_S: Final = 10.0  # a permit not bound by then is worth nothing
@@ -359,6 +364,23 @@ class Kernel:
             cell=replace(self._fleet.facts(cell), busy=None),
             operator_on_duty=self.operator_on_duty,
         )
+
+    def departure(
+        self,
+        old: PolicySet | None,
+        proposal: Proposal,
+        context: Context,
+        covered: Sequence[CoveredRecovery] | None = None,
+    ) -> Departure:
+        """Say how what was authorized under another policy departs from the one in force.
+
+        What cannot be compared departs: whatever is wrong with that, all others have to be compared as well, and held.
+        """
+        try:
+            return departure(old, self.policy, proposal, context, covered)
+        except Exception as error:
+            log.exception("`%s` cannot be compared with the policy in force", proposal.capability)
+            return not_comparable(error)
 
     # -- launching ---------------------------------------------------------------------------------------------------
 

@@ -24,7 +24,7 @@ from app.audit.errors import RecordUnavailable, RowUnreadable
 from app.audit.event import EventDraft
 from app.clock import monotonic_s, rfc3339
 from app.governance.authority import need
-from app.governance.continuing import ACCEPTED, CHANGED, CONFORMS, Departure, departure
+from app.governance.continuing import ACCEPTED, CHANGED, CONFORMS, Departure
 from app.governance.control import TAKEOVER
 from app.governance.errors import PolicyErrors
 from app.governance.model import SESSION, AdmissionOutcome, EventKind, Outcome, PolicyOutcome, Reason, Status
@@ -108,13 +108,12 @@ class Succession:
 
     def departure(self, present: Invocation) -> Departure:
         """Say how a session departs from the policy in force."""
-        policy = self._kernel.policy
-        if present.policy_version == policy.digest:
+        if present.policy_version == self._kernel.policy.digest:
             return CONFORMS
         proposal = present.proposal(dict(present.effective or {}))
         context = self._kernel.context(present.capability, present.agent, present)
         covered = present.terms.recoveries
-        return departure(self._policies.get(present.policy_version), policy, proposal, context, covered)
+        return self._kernel.departure(self._policies.get(present.policy_version), proposal, context, covered)
 
     def kept_back(self, present: Invocation) -> list[dict[str, str]]:
         """Return why nobody may let a session go on; empty where a human's word is enough."""
@@ -238,7 +237,7 @@ class Succession:
         proposal = launching.proposal(dict(launching.effective or {}))
         context = self._kernel.context(launching.capability, launching.agent, launching)
         covered = launching.terms.recoveries
-        found = departure(judgement.policy, self._kernel.policy, proposal, context, covered)
+        found = self._kernel.departure(judgement.policy, proposal, context, covered)
         return (OVERTAKEN, *found.reasons) if found else ()
 
     def abandon(self, name: str, reasons: tuple[Reason, ...]) -> None:

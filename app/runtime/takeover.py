@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, Any, Final
 from app.audit.event import EventDraft
 from app.clock import monotonic_s
 from app.governance.authority import refusal
-from app.governance.continuing import departure
 from app.governance.control import TAKEOVER, Claim, Control, Taking, Where, command, take
 from app.governance.model import SESSION, AuthorityMode, EventKind, Proposal, Role, Status, Wish
 from app.governance.plans import watch_plan
@@ -369,7 +368,7 @@ class Takeovers(Handbacks):
         cell.hands = hands._replace(compared=policy)
         context = self.kernel.context(TAKEOVER, driven.agent, driven)
         covered = ()  # while a human drives nothing recovers by itself
-        return departure(hands.policy, policy, hands.proposal, context, covered).reasons
+        return self.kernel.departure(hands.policy, hands.proposal, context, covered).reasons
 
 
 def _theirs(cell: Cell, document: dict[str, Any]) -> dict[str, Any]:

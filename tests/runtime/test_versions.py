@@ -15,8 +15,11 @@ from app.audit.examination import examine_file
 from app.audit.places import Places
 from app.governance import bundle
 from app.governance.comparison import compare
+from app.governance.continuing import Departure, departure
 from app.governance.errors import PolicyError, PolicyErrors, Undecided
-from app.governance.model import Role, Status, Wish
+from app.governance.model import Proposal, Role, Status, Wish
+from app.governance.policy import PolicySet
+from app.runtime import kernel
 from app.runtime.assembly import Runtime
 from app.runtime.errors import Conflict, ExaminationFailed, Forbidden, NotFound
 from app.runtime.examining import Candidate, Examined
@@ -975,6 +978,39 @@ async def test_what_is_bound_anew_under_a_policy_that_gives_way_meanwhile_is_not
     assert await bodies(runtime, "intervention") == []
     async with stating(cell, status="escalated"):
         await until(lambda: runtime.desk.pending_for(made["id"]) is not None)
+
+
+async def test_what_cannot_be_compared_is_held_and_all_others_are_compared(
+    runtime: Runtime, cell: HandCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whatever a policy holds that nobody thought of: it comes into force, and nothing goes on that nobody compared."""
+    made = await running(runtime, cell)
+    other = await HandCell(runtime, id="workcell-2").dial()
+    await other.state()
+    elsewhere = ProposalRequest(capability="navigate_to", params={"target": "bench_a_stand"}, cell="workcell-2")
+    second, _ = await runtime.governor.propose(AGENT, elsewhere)
+    await other.launched(second["id"])
+
+    def broken(old: PolicySet, new: PolicySet, proposal: Proposal, *rest: Any) -> Departure:
+        if proposal.params["target"] == "dock":
+            raise KeyError("device")
+        return departure(old, new, proposal, *rest)
+
+    monkeypatch.setattr(kernel, "departure", broken)
+    await put_in_force(runtime, SLOWER)
+    assert (cell.ops(), other.ops()) == (["escalate"], ["escalate"])
+    for each, name in ((cell, made["id"]), (other, second["id"])):
+        await each.report("status", name, status="escalated", reason="policy_changed")
+        await each.report("escalation", name, reason="policy_changed")
+    asked, its = runtime.desk.pending_for(made["id"]), runtime.desk.pending_for(second["id"])
+    assert asked is not None
+    assert its is not None
+    assert [why["code"] for why in asked.reasons] == ["not_comparable"]
+    assert "KeyError: 'device'" in asked.reasons[0]["message"]
+    assert "not_comparable" not in {why["code"] for why in its.reasons}
+    with pytest.raises(Conflict) as refused:
+        await runtime.desk.resolve(asked.id, OPERATOR, "approve", asked.digest)
+    assert refused.value.code == "resume_refused"
 
 
 async def test_a_loosening_leaves_what_runs_alone(runtime: Runtime, cell: HandCell) -> None:
