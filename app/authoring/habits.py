@@ -192,7 +192,9 @@ class _Listening:
     def _admission(self, event: Event, body: Body) -> None:
         kept = body.get(recorded.KEY)
         given = self._given.pop(str(event.invocation), None)
-        if kept is not None and kept["proposal"]["capability"] == TAKEOVER and self._taken is not None:
+        if body.get(TAKEOVER):  # somebody took a session over; its agent was not refused
+            self._taken = None
+        elif kept is not None and kept["proposal"]["capability"] == TAKEOVER and self._taken is not None:
             self._idle_takeover(event, str(body["cell"]))
         elif given is not None:  # the first decision: what is decided again is no other proposal
             if kept is None or kept["policy_version"] != self._policy.digest:

@@ -184,6 +184,10 @@ class Judgement(NamedTuple):
         mark = {} if invocation.grant is None else {"grant": invocation.grant}
         return self._events(invocation, invocation.admission, invocation.policy, mark)
 
+    def taking_events(self, driving: Invocation) -> list[EventDraft]:
+        """Return the events of deciding on how somebody drives what runs; they say nothing of the session itself."""
+        return self._events(driving, self.admission_document(), self.policy_document(), {TAKEOVER: True})
+
     def refused_back(self, session: Invocation, by: str, bound: str) -> list[EventDraft]:
         """Return the events of deciding again on a session that somebody hands back, and has to be told of first."""
         mark = {"recheck": True, "hand_back": {"by": by, "digest": bound, "refused": self.asking_document()}}

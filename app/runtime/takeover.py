@@ -222,7 +222,8 @@ class Takeovers(Handbacks):
                 terms = replace(present.terms, taking=True, authorization=permit)
                 version = present.evolve(now, takeover=taken(Where(document["where"]), now), terms=terms)
                 word = self._word("takeover", present, principal, document, Taking.GRANTED)
-                await self.register.append([word, *launch.events], launch.rows, [version])
+                drafts = [word, *judgement.taking_events(driving), *launch.events]
+                await self.register.append(drafts, launch.rows, [version])
 
     def _as_in(self, cell: Cell, present: Invocation) -> dict[str, Any]:
         """Return the limits of a session: whoever takes it over is held to them as it was.

@@ -203,6 +203,26 @@ async def test_an_approval_is_a_second_decision_with_its_own_context(house: Hous
 
 
 @pytest.mark.anyio
+async def test_who_takes_over_a_session_is_decided_on_in_the_record(house: House) -> None:
+    async with house.open() as runtime:
+        cell = await HandCell(runtime).dial()
+        await cell.state()
+        made, _ = await runtime.governor.propose(AGENT, navigate())
+        await cell.launched(made["id"])
+        await runtime.governor.take_over(made["id"], OPERATOR)
+        await cell.expect("launch", 2)
+        trace = await runtime.governor.trace(made["id"], ENGINEER)
+        shown = await runtime.governor.invocation(made["id"], AGENT)
+    taking = [event for event in trace if event["body"].get("takeover")]
+    assert [event["kind"] for event in taking] == ["admission", "policy"]
+    assert taking[0]["body"]["context"]["proposal"]["capability"] == "takeover"
+    assert taking[1]["body"]["effective"] == {"base_speed_mps": 0.3, "tcp_speed_mps": 0.25, "grip_force_n": 60.0}
+    assert shown["effective"] == made["effective"], "what the session does is what it did"
+    found = replay(house.folder, then_in_force(house.folder))
+    assert (found.decisions, found.without_context, found.changed) == (2, 0, [])
+
+
+@pytest.mark.anyio
 async def test_a_question_for_which_people_had_no_room_is_decided_alike(
     house: House, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -125,6 +125,13 @@ describe('a verdict of policy', () => {
     expect(said(event('policy', { outcome: 'allow', changes: [] }))).toBe('Allowed as proposed');
   });
 
+  it('says of who takes a session over that it is about their driving', () => {
+    const taking = { takeover: true, outcome: 'modify', changes: [{ param: 'tcp_speed_mps', requested: 0.5, effective: 0.25, rule: 'r' }] };
+    expect(said(event('admission', { takeover: true, outcome: 'accept', reasons: [] }))).toBe('Driving by hand admitted');
+    expect(said(event('policy', { takeover: true, outcome: 'allow', changes: [] }))).toBe('Driving by hand allowed');
+    expect(said(event('policy', taking as never))).toBe('Driving by hand: Tool speed 0.50 → 0.25');
+  });
+
   it('says of a hand-back that was refused whose it was, and what people are asked about', () => {
     const refused = { reasons: [{ message: 'Somebody looks.' }, { message: 'medium risk needs approval in `human-shared`' }] };
     const told = event('policy', { outcome: 'allow', recheck: true, changes: [], hand_back: { by: 'ann', refused } });

@@ -113,6 +113,7 @@ function policy(body: Body, event: LogEvent, known: Known): Line {
   const back = obj(body['hand_back']);
   if ('refused' in back) return line('refused', 'warn', ` cannot hand back yet: ${asked(obj(back['refused']))}`, str(back['by']));
   const granted = str(body['grant']);
+  if (body['takeover'] === true) return line('scale', 'quiet', cut === '' ? 'Driving by hand allowed' : `Driving by hand: ${cut}`);
   const again = body['recheck'] === true ? 'Checked again: ' : '';
   if (granted !== '') return line('scale', 'plain', [again + allowedBy(known.grant(granted)), cut].filter((part) => part !== '').join('; '));
   return passed(outcome, again, cut);
@@ -144,9 +145,11 @@ function firstMessage(body: Body): string {
   return str(obj(list(body['reasons'])[0])['message']).replaceAll('`', '');
 }
 
+const ADMITTED = [['takeover', 'Driving by hand admitted'], ['recheck', 'Admitted again']] as const;
+
 function admission(body: Body): Line {
   const outcome = str(body['outcome']);
-  if (outcome === 'accept') return line('check', 'quiet', body['recheck'] === true ? 'Admitted again' : 'Admitted');
+  if (outcome === 'accept') return line('check', 'quiet', ADMITTED.find(([mark]) => body[mark] === true)?.[1] ?? 'Admitted');
   return line('refused', outcome === 'defer' ? 'warn' : 'danger', ` ${firstMessage(body)}`, words(outcome === 'defer' ? 'deferred.' : 'rejected.'));
 }
 
