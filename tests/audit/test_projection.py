@@ -34,6 +34,8 @@ def permitted(capability: str, digest: str, params: dict[str, float]) -> tuple[s
 AUTHORIZATION = permitted("navigate_to", "sha256:b", BOUND)
 ASKING = ("escalation", {"escalation": {"kind": "session", "status": "pending"}})
 STOPPED = ("outcome", {"outcome": "stopped"})
+UNSENT_WORD = ("cell", {"what": "not_sent", "op": "resume", "code": "grant_ended"})
+UNSENT = ("cell", {**UNSENT_WORD[1], "authorization": "auth_2", "policy_version": "sha256:b"})
 TAKEN = ("human", {"op": "takeover"})
 Told = tuple[str, dict[str, Any]]
 
@@ -99,6 +101,8 @@ STATES: list[tuple[tuple[Told, ...], dict[str, Any]]] = [
     ((*RUN, APPROVAL), {"effective": BOUND}),
     ((*RUN, permitted("takeover", "sha256:c", {})), {"effective": BOUND, "policy_version": "sha256:b"}),
     ((*RUN, permitted("navigate_to", "sha256:c", {})), {"effective": BOUND, "policy_version": "sha256:c"}),
+    ((*RUN, permitted("navigate_to", "sha256:c", {}), UNSENT), {"policy_version": "sha256:b"}),
+    ((*RUN, permitted("navigate_to", "sha256:c", {}), UNSENT_WORD), {"policy_version": "sha256:c"}),  # as earlier releases said it
     ((*RUN, status("paused")), {"status": "paused"}),
     ((*RUN, status("completed")), {"status": "running"}),  # the outcome says it
     ((*RUN, ASKING), {"status": "escalated"}),

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from app.governance import bundle
-from app.governance.continuing import CONFORMS, GONE, Departure, departure
+from app.governance.continuing import CONFORMS, GONE, Departure, departure, not_comparable
 from app.governance.coverage import covered_recoveries
 from app.governance.model import AuthorityMode, Context, CoveredRecovery, Mode, Proposal
 from app.governance.policy import PolicySet
@@ -438,3 +438,9 @@ def test_goes_on_where_nobody_is_asked_any_more_and_is_asked_about_where_somebod
     found = between(silent, shipped())
     assert codes(found) == ["approval_required"]
     assert found.askable
+
+
+def test_what_cannot_be_compared_departs_and_nobody_may_let_it_go_on():
+    found = not_comparable(KeyError("device"))
+    assert not found.askable
+    assert [(why.code, "KeyError: 'device'" in why.message) for why in found.reasons] == [("not_comparable", True)]
