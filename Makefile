@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.ready
 NODE := $(VENV)/.node
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
-# What `make check` runs under coverage. Comparisons, with other implementations or of one with the other, are slow there, and add nothing.
+# What runs under coverage. Comparisons, with other implementations or of one with the other, are slow there, and add nothing.
 COMPARED := $(patsubst %,tests/governance/test_%.py,expression_properties bundle_misfits)
 MEASURED := $(filter-out $(COMPARED),$(wildcard tests/governance/test_*.py tests/audit/test_*.py))
 TYPINGS := typings/mujoco/__init__.pyi
@@ -18,7 +18,7 @@ export OPENBLAS_NUM_THREADS ?= 1
 .DEFAULT_GOAL := help
 .PHONY: help setup console demo run test check bench evaluate pictures format lock clean \
   test-served test-processes test-sessions test-shown test-console test-runtime test-evaluation test-campaigns \
-  test-proofs test-rules test-authoring test-sim test-pages check-rules check-types check-policy check-console check-code
+  test-proofs test-rules test-authoring test-sim test-pages check-types check-policy check-console check-code
 
 help:  ## list the targets
 	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-8s %s\n", $$1, $$2}'
@@ -54,7 +54,7 @@ demo: setup  ## the paper's Algorithm 1, live, in a simulated workcell
 run: setup  ## a server with one simulated cell and a demo agent; keeps running
 	@$(BIN)/reins demo --keep --port 8000
 
-test: setup  ## the whole test suite
+test: setup  ## the whole test suite; what decides is covered to the last branch
 	@$(MAKE) --no-print-directory --keep-going -j4 test-served test-console test-runtime test-evaluation $(COMPUTING)
 
 # For two cores, four at a time, the longest first: with a fifth, all pay for waiting for their turns. What starts servers
@@ -111,7 +111,8 @@ test-proofs: $(STAMP)
 	@$(GIVING_WAY) $(PYTEST) tests/proofs $(COMPARED)
 
 test-rules: $(STAMP)
-	@$(GIVING_WAY) $(PYTEST) $(MEASURED)
+	@$(GIVING_WAY) $(BIN)/coverage run -m pytest -p no:cacheprovider $(MEASURED)
+	@$(BIN)/coverage report
 
 test-authoring: $(STAMP)
 	@$(GIVING_WAY) $(PYTEST) $(AUTHORED)
@@ -126,12 +127,8 @@ $(TYPINGS): $(STAMP)
 	@$(BIN)/pybind11-stubgen mujoco --ignore-all-errors -o typings >/dev/null 2>&1
 	@touch $(TYPINGS)
 
-check: $(STAMP) $(TYPINGS)  ## format, lint, types, import contracts, policy; what decides is covered to the last branch
-	@$(MAKE) --no-print-directory --keep-going -j2 check-rules check-types check-policy check-console check-code
-
-check-rules:
-	@$(BIN)/coverage run -m pytest -p no:cacheprovider $(MEASURED)
-	@$(BIN)/coverage report
+check: $(STAMP) $(TYPINGS)  ## format, lint, types, import contracts, policy
+	@$(MAKE) --no-print-directory --keep-going -j2 check-types check-console check-policy check-code
 
 check-types:
 	@$(BIN)/basedpyright
