@@ -29,6 +29,7 @@ from tests.console.conftest import (
 )
 
 pytestmark = [pytest.mark.browser, pytest.mark.process]
+PRESS_ALL = "(found) => found.forEach((one) => one.click())"
 RING_PX = 4  # around what has the focus
 
 
@@ -144,7 +145,7 @@ def read_all(person: Person) -> None:
         seen |= {k for k in range(rows.count()) if readable(rows.nth(k))}
         if read.count() == 0:
             break
-        read.evaluate_all("(found) => found.forEach((one) => one.click())")  # it goes once the last line was read
+        read.evaluate_all(PRESS_ALL)  # it goes once the last line was read
         person.page.evaluate(THREE_FRAMES)
     assert len(seen) == rows.count() > 3
 
@@ -155,6 +156,32 @@ def readable(row: Locator) -> bool:
         """(row) => { const {x, y, width, bottom} = row.getBoundingClientRect();
         return [y + 3, bottom - 3].every((at) => row.contains(document.elementFromPoint(x + width / 2, at))); }"""
     )
+
+
+def test_a_reason_that_is_higher_than_the_room_above_the_stop_can_be_read(
+    server: ServerProcess, people: People, floor: Floor
+) -> None:
+    asked = floor.ask()
+    person = people.sit(server, size=PHONE)
+    approve, read = person.button(re.compile("^Approve")), person.button("Read it first")
+    # As one of 400 letters is where they are large and spaced out: lower than the screen, of which a bar takes a part.
+    person.page.evaluate(
+        """() => { const large = new CSSStyleSheet(); large.replaceSync('article li { min-height: 700px; }');
+        document.adoptedStyleSheets = [...document.adoptedStyleSheets, large]; }"""
+    )
+    room = person.page.locator("#page").evaluate("(page) => page.clientHeight")
+    assert room < 700 < PHONE["height"]
+    expect(read).to_be_visible()
+
+    def readies() -> bool:
+        read.evaluate_all(PRESS_ALL)
+        person.page.wait_for_timeout(400)
+        return approve.count() == 1
+
+    until(readies, what="an answer that can be given")
+    expect(approve).to_be_enabled()
+    approve.tap()
+    assert floor.settled(asked["id"])["status"] == "running"
 
 
 def test_what_somebody_changes_again_is_read_again_before_a_finger_approves_it(

@@ -1,7 +1,7 @@
 import { untrack } from 'svelte';
 
-/** Parts are lines: one is read where all of it is on the screen; of one that is longer than that, this share of the screen. */
-const OF_SCREEN = 0.5;
+/** Parts are lines: one is read where all of it is on the screen; of one that is higher than what is left for it there, this share of that. */
+const OF_ROOM = 0.5;
 /** Where a line ends between two pixels. */
 const ROUNDED_PX = 1;
 /** An observer speaks at shares of what it watches: these are near enough to tell pixels of a long line by. */
@@ -18,9 +18,18 @@ interface Part {
   seen: boolean;
 }
 
-/** Whether a line can be read: what of it is on the screen, px, of how much, and how high that is. */
-export function inSight(meets: boolean, wholePx: number, shownPx: number, screenPx: number): boolean {
-  return meets && shownPx >= (wholePx > screenPx ? OF_SCREEN * screenPx : wholePx - ROUNDED_PX);
+/** Whether a line can be read: what of it is on the screen, px, of how much, and how much can be at once. */
+export function inSight(meets: boolean, wholePx: number, shownPx: number, roomPx: number): boolean {
+  return meets && shownPx >= (wholePx > roomPx ? OF_ROOM * roomPx : wholePx - ROUNDED_PX);
+}
+
+/** How much of an element can be on the screen at once, px: what it is scrolled in is lower than that, by the bar with the stop. */
+function roomOf(element: Element): number {
+  let room = window.innerHeight;
+  for (let around = element.parentElement; around !== null; around = around.parentElement) {
+    if (/auto|scroll/.test(getComputedStyle(around).overflowY)) room = Math.min(room, around.clientHeight);
+  }
+  return room;
 }
 
 /** Whether what is asked could be read where it stands: all its parts were on the screen for a while, and one of them still is. */
@@ -51,8 +60,8 @@ export class Sight {
     const seen = new IntersectionObserver((entries) => {
       const entry = entries.at(-1);
       if (entry === undefined) return;
-      const { boundingClientRect: whole, intersectionRect: shown, rootBounds: screen } = entry;
-      this.note(element, inSight(entry.isIntersecting, whole.height, shown.height, screen?.height ?? Infinity));
+      const { boundingClientRect: whole, intersectionRect: shown } = entry;
+      this.note(element, inSight(entry.isIntersecting, whole.height, shown.height, roomOf(element)));
     }, { threshold: SHARES });
     seen.observe(element);
     return () => {
