@@ -166,6 +166,11 @@ describe('a change of profile', () => {
     const asks = (...risk: string[]): ProfileFacts => ({ authority: { modes: ['approval-required'], approval: { risk } } });
     expect(differences(asks('high', 'medium'), asks('high'))).toEqual([{ what: 'Asking people', from: 'approval-required: high, medium risk', to: 'approval-required: high risk', way: 'looser' }]);
     expect(differences(asks('high'), asks('high', 'medium'))[0]?.way).toBe('stricter');
+    const takes = (approvers: Record<string, number>): ProfileFacts => ({ authority: { modes: ['approval-required'], approval: { risk: ['high'], approvers } } });
+    expect(differences(takes({ default: 2 }), takes({ default: 1, critical: 2 }))).toEqual([
+      { what: 'People who have to approve', from: '2 for low risk, 2 for medium risk, 2 for high risk', to: '1 for low risk, 1 for medium risk, 1 for high risk', way: 'looser' },
+    ]);
+    expect(differences(takes({ critical: 1 }), takes({ default: 1, critical: 2 }))[0]?.way).toBe('stricter');
     expect(differences(modes('interrupt-enabled', 'takeover-enabled'), modes())).toEqual([
       { what: 'Taking the controls', from: 'people may', to: 'nobody may', way: 'different' },
       { what: 'Pausing what runs', from: 'people may', to: 'nobody may', way: 'looser' },

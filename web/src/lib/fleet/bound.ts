@@ -3,27 +3,44 @@ import { words } from '../format/capability';
 import { plain } from '../format/plain';
 import { ruleWords } from '../format/rules';
 import { confirmRule, effectOf, type Rule } from '../policy/matrix';
+import { askingOf } from './profiles';
 import type { Difference, Way } from './ways';
 
-type Holding = Pick<PolicySet, 'rules' | 'authority'>;
+type Holding = Pick<PolicySet, 'rules' | 'authority' | 'profiles'>;
 const NONE = 'no such rule';
 const UNCONFIRMED = 'nobody confirms a phase';
 
-type Marked = Pick<Capability, 'name' | 'env_profile'>;
+const FORBIDDEN = 'forbidden';
+const ASKS = 'approval-required';
 
-/** What holds in one of two profiles alone: capabilities that are forbidden there, rules that are bound to it, and phases that wait for a person. */
+type Marked = Pick<Capability, 'name' | 'env_profile' | 'recovery'>;
+
+/** What holds in one of two profiles alone: capabilities that are forbidden or ask a person there, rules that are bound to it, and phases that wait for a person. */
 export function boundDifferences(policy: Holding, capabilities: readonly Marked[], from: string, to: string): Difference[] {
   return [
     ...capabilities.flatMap((one) => ofMarks(one, from, to)),
+    ...ofAsking(policy, capabilities, from, to),
     ...ofRules(policy.rules as unknown as Rule[], from, to),
     ...ofConfirming(policy.authority?.confirm_before ?? [], from, to),
   ];
 }
 
 function ofMarks({ name, env_profile: marks }: Marked, from: string, to: string): Difference[] {
-  const [a, b] = [from, to].map((profile) => (marks?.[profile] ?? 'forbidden') === 'forbidden');
+  const [a, b] = [from, to].map((profile) => (marks?.[profile] ?? FORBIDDEN) === FORBIDDEN);
   const text = (forbidden: boolean | undefined): string => (forbidden === true ? 'forbidden' : 'not forbidden');
   return a === b ? [] : [{ what: words(name), from: text(a), to: text(b), way: a === true ? 'looser' : 'stricter' }];
+}
+
+/** Capabilities by whose mark a person is asked in one of two profiles alone, if these ask alike otherwise; else the way they ask says it. */
+function ofAsking({ profiles }: Holding, capabilities: readonly Marked[], from: string, to: string): Difference[] {
+  const [one, other] = [from, to].map((profile) => askingOf(profiles[profile]));
+  if (one?.text !== other?.text || one?.mode.startsWith('approval') !== true) return [];
+  return capabilities.flatMap(({ name, env_profile: marks, recovery }): Difference[] => {
+    const [a = FORBIDDEN, b = FORBIDDEN] = [marks?.[from], marks?.[to]];
+    if (recovery === true || a === FORBIDDEN || b === FORBIDDEN || (a === ASKS) === (b === ASKS)) return [];
+    const text = (mark: string): string => (mark === ASKS ? 'asks a person' : 'asks no one by itself');
+    return [{ what: words(name), from: text(a), to: text(b), way: a === ASKS ? 'looser' : 'stricter' }];
+  });
 }
 
 function ofRules(rules: readonly Rule[], from: string, to: string): Difference[] {
@@ -47,8 +64,8 @@ function ofRule(a: Rule | undefined, b: Rule | undefined): Difference[] {
   return [{ what: `Rule “${ruleWords(known.id)}”`, from: wordsOf(a), to: wordsOf(b), way: wayOf(a, b) }];
 }
 
-function contentOf({ applies_to: scope, when, then, set }: Rule): string {
-  return JSON.stringify([scope, when, then, set]);
+function contentOf({ applies_to: scope, when, then, set, approvers }: Rule): string {
+  return JSON.stringify([scope, when, then, set, approvers ?? null]);
 }
 
 /** A rule that allows is the only one that a profile is stricter without. */

@@ -1,13 +1,14 @@
+import type { Risk } from '../api/documents';
 import { entryOf } from '../format/entry';
 import { labelOf, withUnit } from '../format/quantity';
 import { nearDifferences, watchDifferences, type Watching } from './watched';
-import { FEWER, MORE, type Difference, type Way } from './ways';
+import { FEWER, MORE, ofNumbers, type Difference, type Way } from './ways';
 
 export interface ProfileFacts {
   sensitivity?: number;
   retry_budget?: number;
   limits?: Record<string, { max?: number; min?: number }>;
-  authority?: { modes?: string[]; approval?: { risk: string[] } | null; review?: { risk: string[]; outcomes: string[] } | null };
+  authority?: { modes?: string[]; approval?: { risk: string[]; approvers?: Record<string, number> } | null; review?: { risk: string[]; outcomes: string[] } | null };
   [key: string]: unknown;
 }
 
@@ -26,6 +27,7 @@ export function differences(from: ProfileFacts | undefined, to: ProfileFacts | u
   return [
     ...(watching === undefined ? [] : nearDifferences(...watching)),
     ...ofAsking(from, to),
+    ...ofApprovers(from, to),
     ...ofModes(from, to),
     ...LOOK.flatMap((name) => ofLimit(name, from, to)),
     ...ofNumber('Retries, at most', from.retry_budget, to.retry_budget, MORE),
@@ -45,13 +47,26 @@ function ofNumber(what: string, a: number | undefined, b: number | undefined, wa
 }
 
 function ofAsking(from: ProfileFacts, to: ProfileFacts): Difference[] {
-  const [a, b] = [asking(from), asking(to)];
+  const [a, b] = [askingOf(from), askingOf(to)];
   const way = RANK.indexOf(b.mode) < RANK.indexOf(a.mode) || (a.mode === b.mode && lacks(b.risk, a.risk)) ? 'looser' : 'stricter';
   return a.text === b.text ? [] : [{ what: 'Asking people', from: a.text, to: b.text, way }];
 }
 
+const RISKS: readonly Risk[] = ['low', 'medium', 'high', 'critical'];
+
+/** How many different people it takes, by risk, where both ask people at all. */
+function ofApprovers(from: ProfileFacts, to: ProfileFacts): Difference[] {
+  if ([from, to].some((facts) => !askingOf(facts).mode.startsWith('approval'))) return [];
+  const of = ({ authority }: ProfileFacts): Record<string, number> => {
+    const { approvers = {} } = authority?.approval ?? {};
+    return Object.fromEntries(RISKS.map((risk) => [risk, entryOf(approvers, risk) ?? approvers['default'] ?? 1]));
+  };
+  return ofNumbers('People who have to approve', of(from), of(to), FEWER, (risk, people) => `${people} for ${risk} risk`);
+}
+
 /** Only where approval is required does a risk alone have people asked. */
-function asking({ authority }: ProfileFacts): { mode: string; risk: string[]; text: string } {
+export function askingOf(facts: ProfileFacts | undefined): { mode: string; risk: string[]; text: string } {
+  const authority = facts?.authority;
   const modes = authority?.modes ?? [];
   const mode = RANK.findLast((one) => modes.includes(one)) ?? 'nobody is asked';
   const risk = mode === 'approval-required' ? (authority?.approval?.risk ?? []) : [];

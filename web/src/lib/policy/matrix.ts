@@ -10,6 +10,8 @@ export interface Rule {
   when: string | null;
   then: 'allow' | 'modify' | 'escalate' | 'deny';
   set: Record<string, { min?: number; max?: number; to?: string | number }>;
+  /** How many people a rule that asks wants; null or absent where it leaves that to the profile. */
+  approvers?: number | null;
   because: string;
   remedy: string;
 }
@@ -179,7 +181,7 @@ function phaseWords(phase: string): string {
 /** What a rule does, in words. */
 export function effectOf(rule: Rule): string {
   if (rule.then === 'deny') return 'Denies';
-  if (rule.then === 'escalate') return 'Asks a person';
+  if (rule.then === 'escalate') return (rule.approvers ?? 1) > 1 ? `Asks ${rule.approvers} people` : 'Asks a person';
   if (rule.then === 'allow') return 'Allows';
   const parts = Object.entries(rule.set).map(([param, { min, max, to }]) => {
     const unit = unitOf(param) === '' ? '' : ` ${unitOf(param)}`;
