@@ -215,6 +215,24 @@ def test_who_goes_on_while_a_candidate_is_checked_loses_nothing_and_is_not_fetch
     expect(kept).to_have_count(0)
 
 
+def test_whoever_loads_the_page_anew_over_a_candidate_is_told_that_it_was_not_sent(
+    changing: ServerProcess, people: People
+) -> None:
+    person = people.sit(changing, "engineer")
+    told = person.alert("The policy that you were about to bring was not sent, and is gone.")
+    person.page.evaluate("location.hash = '#/policy/Versions/new'")
+    person.button("Edit what is in force").click()
+    expect(person.button("Discard")).to_be_visible()
+    person.page.reload()
+    expect(person.button("Edit what is in force")).to_be_enabled()
+    expect(told).to_have_count(0)  # nothing was written
+    person.button("Edit what is in force").click()
+    person.page.get_by_label("Why").fill("for a visit")
+    person.page.evaluate("location.hash = '#/live'")
+    person.page.reload()
+    expect(told).to_be_visible()
+
+
 def test_a_word_is_given_for_the_change_that_was_read_and_for_no_other(changing: ServerProcess, people: People) -> None:
     # Another one comes into force while the list that says so is still on its way to this page.
     wanted, theirs = (kept(changing, f"grip_force_n: {{max: {force},", f"at most {force} N") for force in (45, 35))

@@ -235,6 +235,21 @@ describe('a draft', () => {
   const fault = (file: string) => ({ field: 'rules', message: 'm', file, line: 2 });
   const refusal = new ApiError({ title: 't', status: 422, detail: 'd', code: 'policy_invalid', errors: [fault('site.yaml')] });
 
+  it('is told to be gone with the page where it differs from what is in force, and not to be where it may have been kept', async () => {
+    const draft = new Draft();
+    expect(draft.leaving).toBeNull();
+    await draft.take([], server(WHOLE));
+    expect(draft.leaving).toBeNull();
+    draft.write('site.yaml', 'other');
+    expect(draft.leaving).toBe('The policy that you were about to bring was not sent, and is gone.');
+    draft.clear();
+    expect(draft.leaving).toBeNull();
+    const sent = await checked();
+    expect(sent.draft.leaving).toMatch(/whether it was kept stands under Versions/);
+    await sent.say(refusal);
+    expect(sent.draft.leaving).toMatch(/not sent, and is gone/);
+  });
+
   it('goes once it is kept, as it was sent', async () => {
     const { draft, propose, say } = await checked();
     draft.write('site.yaml', 'other');

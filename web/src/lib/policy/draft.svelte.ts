@@ -28,6 +28,12 @@ export class Draft {
     return standings(this.files, this.live);
   }
 
+  /** What whoever leaves the page has to know of it; null: it differs in nothing from what is in force. */
+  get leaving(): string | null {
+    if (this.busy === 'checking') return 'The policy that you brought was still being checked: whether it was kept stands under Versions.';
+    return !this.empty && (this.why.trim() !== '' || this.listed.some(({ standing }) => standing !== 'same')) ? 'The policy that you were about to bring was not sent, and is gone.' : null;
+  }
+
   /** Is written by this person from now on: what somebody else left in the tab is nothing for them to bring. */
   belongsTo(name: string): void {
     if (this.by !== null && this.by !== name) {
