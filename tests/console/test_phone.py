@@ -184,6 +184,29 @@ def test_a_reason_that_is_higher_than_the_room_above_the_stop_can_be_read(
     assert floor.settled(asked["id"])["status"] == "running"
 
 
+@pytest.mark.parametrize("opened", ["Menu", "Keys"])
+def test_no_finger_approves_what_lies_behind_the_menu_or_the_list_of_keys(
+    server: ServerProcess, people: People, floor: Floor, opened: str
+) -> None:
+    asked = floor.ask()
+    person = people.sit(server, size=PHONE)
+    approve, read = person.button(re.compile("^Approve")), person.button("Read it first")
+    expect(person.button(re.compile("^Deny"))).to_be_enabled()
+    read_all(person)
+    expect(approve).to_be_enabled()
+    over = person.page.get_by_role("navigation", name="Pages and settings")
+    person.button("Menu").tap()
+    if opened == "Keys":
+        over.get_by_role("button", name="Keys").tap()
+        over = person.page.get_by_role("dialog", name="Keys")
+    expect(over).to_be_visible()
+    expect(approve).to_have_count(0)
+    read.tap()  # leads to what is behind it
+    expect(over).to_have_count(0)
+    approve.tap()
+    assert floor.settled(asked["id"])["status"] == "running"
+
+
 def test_what_somebody_changes_again_is_read_again_before_a_finger_approves_it(
     server: ServerProcess, people: People, floor: Floor
 ) -> None:

@@ -117,6 +117,24 @@ describe('what is asked', () => {
     vi.useRealTimers();
   });
 
+  it('is read by nobody behind what lies over the page', () => {
+    vi.useFakeTimers();
+    const made = sight();
+    made.note(reasons, true);
+    made.note(values, true);
+    made.cover(true);
+    vi.advanceTimersByTime(READ_MS);
+    expect([made.read, made.unread]).toEqual([false, [reasons, values]]);
+    made.cover(false);
+    vi.advanceTimersByTime(READ_MS);
+    expect([made.read, made.unread]).toEqual([true, []]);
+    made.cover(true);
+    expect(made.read).toBe(false);
+    made.cover(false);
+    expect(made.read).toBe(true);
+    vi.useRealTimers();
+  });
+
   it('is read anew once something else is asked: what stays in sight for as long again, and the rest where it stands', () => {
     vi.useFakeTimers();
     const made = sight();

@@ -1,3 +1,4 @@
+import { createSubscriber } from 'svelte/reactivity';
 import { entryOf } from '../format/entry';
 
 /** The keyboard: one listener, shortcuts by key, and the stop that is heard everywhere. */
@@ -118,6 +119,11 @@ export class Keys {
   private stop: () => void = () => undefined;
   private missed: (key: string, by: Missed) => void = () => undefined;
   private covers = 0;
+  private coverChanged: () => void = () => undefined;
+  private readonly heedCovers = createSubscriber((changed) => {
+    this.coverChanged = changed;
+    return () => (this.coverChanged = () => undefined);
+  });
   private reserved: readonly { kept: ReadonlySet<string>; untilMs: number; stillMs: number }[] = [];
   /** When one was last at what takes letters; NaN where one went elsewhere since, by a finger or a key. */
   private typedMs = NaN;
@@ -134,14 +140,17 @@ export class Keys {
 
   /** Whether something lies over the page. */
   get covered(): boolean {
+    this.heedCovers();
     return this.covers > 0;
   }
 
   /** Says that something lies over the page; returns how to take it back. */
   cover(): () => void {
     this.covers += 1;
+    this.coverChanged();
     return () => {
       this.covers -= 1;
+      this.coverChanged();
     };
   }
 

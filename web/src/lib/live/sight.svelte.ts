@@ -35,15 +35,22 @@ function roomOf(element: Element): number {
 /** Whether what is asked could be read where it stands: all its parts were on the screen for a while, and one of them still is. */
 export class Sight {
   private parts = $state.raw<readonly Part[]>([]);
+  private covered = $state(false);
   private readonly reading = new WeakMap<Element, ReturnType<typeof setTimeout>>();
 
   get read(): boolean {
-    return this.parts.every((part) => part.seen) && this.parts.some((part) => part.here);
+    return !this.covered && this.parts.every((part) => part.seen) && this.parts.some((part) => part.here);
   }
 
   /** The parts that were never on the screen, from above. */
   get unread(): readonly Element[] {
     return this.parts.filter((part) => !part.seen).map(({ element }) => element).sort((a, b) => (a.compareDocumentPosition(b) === FOLLOWS ? -1 : 1));
+  }
+
+  /** Something lies over the page from now on, or does not any more: what is behind it is read by nobody. */
+  cover(so: boolean): void {
+    this.covered = so;
+    for (const { element, here } of this.parts) this.note(element, here);
   }
 
   /** Other words and values stand there from now on: what was read is to be read again. */
@@ -74,7 +81,7 @@ export class Sight {
   /** Notes whether enough of a part is on the screen. */
   note(element: Element, here: boolean): void {
     clearTimeout(this.reading.get(element));
-    if (here) this.reading.set(element, setTimeout(() => this.put(element, { seen: true }), READ_MS));
+    if (here && !this.covered) this.reading.set(element, setTimeout(() => this.put(element, { seen: true }), READ_MS));
     this.put(element, { here });
   }
 
