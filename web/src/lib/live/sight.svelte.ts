@@ -10,7 +10,7 @@ const SHARES = [...Array.from({ length: 41 }, (_, k) => k / 40), 0.985, 0.995];
 /** What was there for a moment alone, before the answers took their place or as one scrolled past, was read by nobody. */
 export const READ_MS = 300;
 
-const FOLLOWS = 4; // Node.DOCUMENT_POSITION_FOLLOWING
+const FOLLOWS: ReadonlySet<number> = new Set([4, 20]); // Node.DOCUMENT_POSITION_FOLLOWING, which may be within it
 
 interface Part {
   element: Element;
@@ -44,7 +44,7 @@ export class Sight {
 
   /** The parts that were never on the screen, from above. */
   get unread(): readonly Element[] {
-    return this.parts.filter((part) => !part.seen).map(({ element }) => element).sort((a, b) => (a.compareDocumentPosition(b) === FOLLOWS ? -1 : 1));
+    return this.parts.filter((part) => !part.seen).map(({ element }) => element).sort((a, b) => (FOLLOWS.has(a.compareDocumentPosition(b)) ? -1 : 1));
   }
 
   /** Something lies over the page from now on, or does not any more: what is behind it is read by nobody. */
