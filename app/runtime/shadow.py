@@ -7,19 +7,23 @@ candidate is a difference as well, and reaches nobody else.
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Final
 
 import orjson
 
+from app.audit.errors import RowUnreadable
 from app.audit.event import EventDraft, RowWrite
 from app.governance.decision import decide
 from app.governance.model import EventKind
 from app.governance.policy_model import GOVERNANCE
 from app.governance.recorded import Agents
 from app.runtime.drafts import SERVER
+from app.runtime.errors import NotFound
 from app.runtime.invocation import reasons_document
 from app.runtime.uncut import uncut
+from app.runtime.version import UNREADABLE
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -131,15 +135,27 @@ class Shadow:
     async def recall(self) -> None:
         """Go on with the candidate that was under shadow when the server ended.
 
+        Nothing follows from it: where nobody can read it any more it leaves the shadow, and keeps nobody from starting.
+
         Raises:
-            NotFound, PolicyErrors: it is not there any more, or is no policy any more.
-            RowUnreadable: its files are damaged.
+            RecordUnavailable: that it left the shadow is not recorded.
         """
         rows = await self._register.store.rows("settings", {"name": SETTING})
         for kept in self._register.stored.those_of("settings", rows, _kept):
             if kept is not None:
                 digest, by, why = kept
-                self._begin(await self._versions.compiled(digest), by, why, self._register.now())
+                try:
+                    policy = await self._versions.compiled(digest)
+                except UNREADABLE as error:
+                    await self._lost(digest, f"nobody can read it any more: {error}")
+                else:
+                    self._begin(policy, by, why, self._register.now())
+
+    async def _lost(self, digest: str, why: str) -> None:
+        with suppress(NotFound, RowUnreadable):  # then the log says nothing of it either
+            version = await self._versions.load(digest)
+            said = version.event("shadow_ended", SERVER, reason=why)
+            await self._register.append([said], [_setting(None, self._register.now())])
 
     def document(self, digest: str) -> dict[str, Any]:
         """Return what was found of a candidate; one that is not under shadow has found nothing."""

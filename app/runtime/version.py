@@ -15,9 +15,12 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import orjson
 
+from app.audit.errors import RowUnreadable
 from app.audit.event import EventDraft, RowWrite
 from app.audit.versions import KEPT_ACTIVATIONS
+from app.governance.errors import PolicyErrors
 from app.governance.model import EventKind
+from app.runtime.errors import ExaminationFailed, NotFound
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -35,6 +38,8 @@ PROVED: Final = "proved"
 REFUTED: Final = "refuted"
 UNDECIDED: Final = "undecided"
 UNKNOWN: Final = "unknown"
+UNREADABLE: Final = (NotFound, RowUnreadable, PolicyErrors, ExaminationFailed)
+"""Why a kept version cannot be had: what only looks at it, or compares with it, does without."""
 
 
 class InForce(NamedTuple):

@@ -2,13 +2,21 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
+from app.governance.errors import PolicyError, PolicyErrors
 from app.runtime.assembly import Runtime
+from app.runtime.errors import ExaminationFailed
+from app.runtime.examining import Candidate, Examined
+from app.runtime.versions import candidate_of
+from tests.examining import examine_here
 from tests.runtime.conftest import AGENT, ENGINEER, HandCell, House, grasp, navigate
 from tests.runtime.test_versions import FORBIDDEN, ORGANIZATION, SLOWER, bodies, brought, edited
 
 pytestmark = pytest.mark.anyio
+SLOWER_FILES = candidate_of(SLOWER).files
 
 
 async def test_what_a_candidate_would_decide_is_recorded_and_changes_nothing(runtime: Runtime, cell: HandCell) -> None:
@@ -61,5 +69,31 @@ async def test_a_shadow_goes_on_after_a_restart_and_ends_when_told(house: House)
         assert runtime.shadow.document(digest)["on"]
         ended = await runtime.shadow.set(digest, ENGINEER, "seen enough", on=False)
         assert not ended["on"]
+    async with house.open() as runtime:
+        assert not runtime.shadow.document(digest)["on"]
+
+
+REFUSED = PolicyErrors([PolicyError(file=ORGANIZATION, line=1, key="", message="is not valid any more")])
+
+
+@pytest.mark.parametrize(
+    "error", [REFUSED, ExaminationFailed("it ended with `1`: TypeError")], ids=["refused", "broke"]
+)
+async def test_a_shadow_that_a_newer_release_cannot_read_keeps_nobody_from_starting(
+    house: House, error: Exception
+) -> None:
+    async def newer(candidate: Candidate, against: Candidate | None) -> Examined:
+        if candidate.files == SLOWER_FILES:
+            raise error
+        return await examine_here(candidate, against)
+
+    async with house.open() as runtime:
+        digest = await brought(runtime, SLOWER)
+        await runtime.shadow.set(digest, ENGINEER, "a look", on=True)
+    async with replace(house, examine=newer).open() as runtime:
+        assert not runtime.shadow.document(digest)["on"]
+        said = (await bodies(runtime, "policy_version"))[-1]
+        assert (said["op"], said["policy_version"]) == ("shadow_ended", digest)
+        assert str(error) in said["reason"]
     async with house.open() as runtime:
         assert not runtime.shadow.document(digest)["on"]
