@@ -20,17 +20,16 @@ import contextlib
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final
 
-from app.audit.errors import RecordUnavailable, RowUnreadable
+from app.audit.errors import RecordUnavailable
 from app.audit.event import EventDraft
 from app.clock import monotonic_s, rfc3339
 from app.governance.authority import need
 from app.governance.continuing import ACCEPTED, CHANGED, CONFORMS, Departure
 from app.governance.control import TAKEOVER
-from app.governance.errors import PolicyErrors
 from app.governance.model import SESSION, AdmissionOutcome, EventKind, Outcome, PolicyOutcome, Reason, Status
 from app.protocol import Human
 from app.runtime.drafts import SERVER, escalation_event, outcome_event, reason
-from app.runtime.errors import InvalidParams, NotFound
+from app.runtime.errors import InvalidParams
 from app.runtime.escalation import APPROVAL, PROFILE_CHANGED, WITHDRAWN, bound_digest
 from app.runtime.grant import REVOKED, GrantEnded
 from app.runtime.hands import over
@@ -39,6 +38,7 @@ from app.runtime.kernel import ANOTHER_PROFILE, EDITED
 from app.runtime.kernel import CHANGED as CONDITIONS_CHANGED
 from app.runtime.recollection import events_of
 from app.runtime.uncut import uncut
+from app.runtime.version import UNREADABLE
 
 if TYPE_CHECKING:
     from collections.abc import Awaitable, Callable, Mapping
@@ -87,7 +87,7 @@ class Succession:
         kept = {digest: policy for digest, policy in self._policies.items() if digest in needed}
         kept[present.digest] = present
         for digest in needed - kept.keys():
-            with contextlib.suppress(NotFound, RowUnreadable, PolicyErrors):  # what nobody knows departs from any
+            with contextlib.suppress(*UNREADABLE):  # what nobody knows departs from any
                 kept[digest] = await compiled(digest)
         self._policies = kept
 

@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import sqlite3
 from contextlib import closing
+from dataclasses import replace
 
 import pytest
 
 from app.audit.errors import RowUnreadable
 from app.audit.places import Places
 from app.governance.model import GrantScope
-from app.runtime.errors import Conflict
+from app.runtime.errors import Conflict, ExaminationFailed
 from app.runtime.escalation import Escalation
+from app.runtime.examining import Candidate, Examined
 from app.runtime.grant import GrantRequest
+from tests.examining import examine_here
 
 from .conftest import AGENT, CELL, ENGINEER, OPERATOR, HandCell, House, grasp, navigate, until
 from .test_fleet import running
@@ -222,4 +225,22 @@ async def test_a_session_departs_from_any_policy_when_nobody_can_read_its_own(ho
             return question is not None and "its_policy_is_gone" in {why["code"] for why in question.reasons}
 
         await until(asked)
+        assert await put_in_force(second, SLOWER) == second.kernel.policy.digest
+
+
+async def test_a_session_departs_from_any_policy_when_its_own_cannot_be_compiled(house: House) -> None:
+    async with house.open() as first:
+        cell = await HandCell(first).dial()
+        await cell.state()
+        name = await running(first, cell)
+        await put_in_force(first, FASTER)
+        await cell.hang_up()
+
+    async def broken(candidate: Candidate, against: Candidate | None) -> Examined:
+        if candidate.files == house.policy.files:
+            raise ExaminationFailed("it ended with `1`: TypeError")
+        return await examine_here(candidate, against)
+
+    async with replace(house, examine=broken).open() as second:
+        assert {why["code"] for why in second.desk.departed[name]} == {"its_policy_is_gone"}
         assert await put_in_force(second, SLOWER) == second.kernel.policy.digest
