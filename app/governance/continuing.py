@@ -48,6 +48,7 @@ RULE: Final = "policy/changed"
 CHANGED: Final = "policy_changed"
 END_IT: Final = "end it, and propose again"
 ANY: Final = "any"
+OTHER_VERSION: Final = "capability_version"
 ACCEPTED: Final = Admission(outcome=AdmissionOutcome.ACCEPT)
 
 
@@ -85,22 +86,25 @@ def departure(
     """
     if misfits := _misfits(old, new, proposal):  # nothing could be asked about those
         return Departure(reasons=misfits)
-    admission, verdict = admit(new, proposal, context), check(new, proposal, context)
+    taken = _as_taken_by(new, proposal)
+    admission, verdict = admit(new, taken, context), check(new, taken, context)
     if old is None:
         refused = admission.reasons if admission.outcome is AdmissionOutcome.REJECT else verdict.reasons
         return Departure(reasons=(*refused, GONE))
+    if any(reason.code == OTHER_VERSION for reason in admission.reasons):  # its parameters are another version's
+        return Departure(reasons=admission.reasons)
     then = _as_known_by(old, context)
     before, said = admit(old, proposal, then), check(old, proposal, then)
     refused = (
         *_rejected(admission, before),
-        *_held(verdict, said, proposal),
+        *_held(verdict, said, taken),
         *_watched(old, new, proposal, context),
         *_recovered(old, new, _covered(old, proposal, then, covered), then, context),
     )
     refused = tuple(dict.fromkeys(refused))  # a watch rule may be of the session and of what recovers it
     if refused:
         return Departure(reasons=refused)
-    wanted = _wanted(new, proposal, admission, verdict, context)
+    wanted = _wanted(new, taken, admission, verdict, context)
     return _asks(wanted, _wanted(old, proposal, before, said, then))
 
 
@@ -122,6 +126,12 @@ def _misfits(old: PolicySet | None, new: PolicySet, proposal: Proposal) -> tuple
     return tuple(_news("params_invalid", f"{takes}: {problem.message}") for problem in found)
 
 
+def _as_taken_by(policy: PolicySet, proposal: Proposal) -> Proposal:
+    """Return what runs as a policy takes it: with the default of what its capability takes besides by now."""
+    params = policy.validate_params(proposal.capability, proposal.params, proposal.version)
+    return proposal if isinstance(params, tuple) else replace(proposal, params=params)
+
+
 def _rejected(admission: Admission, before: Admission) -> tuple[Reason, ...]:
     """Return why the new policy does not admit what runs, but for what the old one would say as well."""
     if admission.outcome is not AdmissionOutcome.REJECT:
@@ -129,13 +139,13 @@ def _rejected(admission: Admission, before: Admission) -> tuple[Reason, ...]:
     return tuple(reason for reason in admission.reasons if reason not in before.reasons)
 
 
-def _held(verdict: Verdict, said: Verdict, proposal: Proposal) -> tuple[Reason, ...]:
-    """Return why the verdict refuses or binds what runs, where the old one did not."""
+def _held(verdict: Verdict, said: Verdict, taken: Proposal) -> tuple[Reason, ...]:
+    """Return why the verdict refuses or binds what runs, as the new policy takes it, where the old one did not."""
     if verdict.outcome is PolicyOutcome.DENY:
         known = said.reasons if said.outcome is PolicyOutcome.DENY else ()
         # A rule that cannot be evaluated now, for want of fresh facts, says nothing about what it would have said.
         return tuple(reason for reason in verdict.reasons if reason.code == "rule_error" or reason not in known)
-    if verdict.effective in (proposal.params, said.effective):
+    if verdict.effective in (taken.params, {**taken.params, **said.effective}):
         return ()
     by = {change.rule for change in verdict.changes}
     return tuple(reason for reason in verdict.reasons if reason.rule in by) or verdict.reasons
@@ -192,9 +202,10 @@ def _recovered(
         if misfits := _misfits(old, new, runs):
             found += misfits
             continue
+        taken = _as_taken_by(new, runs)
         before, said = admit(old, runs, by_old), check(old, runs, by_old)
-        admission, verdict = admit(new, runs, by_new), check(new, runs, by_new)
-        news = (*_rejected(admission, before), *_held(verdict, said, runs))
+        admission, verdict = admit(new, taken, by_new), check(new, taken, by_new)
+        news = (*_rejected(admission, before), *_held(verdict, said, taken))
         if not news and not _unasked(admission, verdict):
             known = () if _unasked(before, said) else (*before.reasons, *said.reasons)
             news = tuple(reason for reason in (*admission.reasons, *verdict.reasons) if reason not in known)
@@ -233,7 +244,8 @@ def _watched_tighter(old: PolicySet, new: PolicySet, proposal: Proposal, context
         return []  # which admission says
     if pair not in old.gates:
         return [GONE]
-    plans = [watch_plan(policy, *pair, proposal.params, proposal.mode) for policy in (old, new)]
+    bound = ((old, proposal), (new, _as_taken_by(new, proposal)))
+    plans = [watch_plan(policy, *pair, runs.params, runs.mode) for policy, runs in bound]
     return [_news("watched_tighter", f"{what} tighter now") for what in _stricter(*plans)]
 
 

@@ -62,10 +62,11 @@ async def readmitted(desk: Questions, cell: Cell, present: Invocation, principal
     approvals = tuple(name for name in said if desk.grants.may_give(name))
     effective = dict(present.effective or {})
     try:
-        desk.kernel.fill_in(present.capability, effective, present.terms.version)
+        taken = desk.kernel.fill_in(present.capability, effective, present.terms.version)
     except InvalidParams as error:
-        other = Reason(RULE, "params_invalid", f"the capability takes other parameters now: {error}", PROPOSE)
-        raise _refused("it cannot go on with what it was launched with", (other,)) from error
+        raise _misfit(str(error)) from error
+    if more := sorted(taken.keys() - effective.keys()):
+        raise _misfit(", ".join(f"`{name}`" for name in more) + " as well")
     judgement = desk.kernel.judge(present.proposal(effective), present.agent, cell, within=present)
     if cell.profile != present.profile:
         raise _refused("the profile that it was launched under gave way", (_gave_way(cell, present),))
@@ -172,6 +173,11 @@ async def _not_sent(desk: Questions, before: Invocation, op: str, reasons: Seque
 
 def _refused(message: str, reasons: Sequence[Reason], bound: str | None = None) -> Conflict:
     return Conflict("resume_refused", message, reasons=reasons_document(tuple(reasons)), digest=bound)
+
+
+def _misfit(what: str) -> Conflict:
+    other = Reason(RULE, "params_invalid", f"the capability takes other parameters now: {what}", PROPOSE)
+    return _refused("it cannot go on with what it was launched with", (other,))
 
 
 def _gave_way(cell: Cell, present: Invocation) -> Reason:

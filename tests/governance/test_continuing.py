@@ -382,6 +382,38 @@ def test_the_version_that_an_agent_asked_for_is_its_own_capabilitys_and_not_of_w
     assert [reason.rule for reason in found.reasons] == ["organization/never"]
 
 
+EXTRA = "extra_m: {type: number, unit: m, minimum: 0, maximum: 5, default: 1.0}"
+KEPT = "{id: kept, applies_to: [grasp_object, release_and_retract], then: modify, because: It does., set: {extra_m: "
+
+
+def with_extra(capability: str, *edits: tuple[str, str, str]) -> PolicySet:
+    return edited((f"capabilities/{capability}.yaml", "  properties:\n", f"  properties:\n    {EXTRA}\n"), *edits)
+
+
+@pytest.mark.parametrize("capability", ["grasp_object", "release_and_retract"])
+def test_goes_on_where_something_is_taken_besides_that_has_a_default(capability: str) -> None:
+    now = context(HERE, holding="mug_1")
+    assert between(shipped(), with_extra(capability), now=now) is CONFORMS
+    least, most = (
+        with_extra(capability, (ORGANIZATION, "rules:\n", f"rules:\n  - {KEPT}{{max: {most}}}}}}}\n"))
+        for most in (0.5, 2)
+    )
+    assert codes(between(shipped(), least, now=now)) == ["kept"]
+    assert between(shipped(), most, now=now) is CONFORMS
+
+
+def test_another_version_than_its_agent_asked_for_says_that_and_nothing_of_parameters_that_are_another_versions() -> (
+    None
+):
+    other = edited(
+        ("capabilities/grasp_object.yaml", "version: 1.0.0", "version: 2.0.0"),
+        ("capabilities/grasp_object.yaml", "  properties:\n", f"  properties:\n    {EXTRA}\n"),
+        ("capabilities/grasp_object.yaml", "required: [object_id]", "required: [object_id, extra_m]"),
+    )
+    found = between(shipped(), other, replace(GRASP, version="^1.0.0"))
+    assert (codes(found), found.askable) == (["capability_version"], False)
+
+
 def test_departs_when_what_recovers_it_is_not_enabled_here_any_more() -> None:
     gates = {pair: gate for pair, gate in shipped().gates.items() if pair != ("release_and_retract", HERE)}
     assert codes(between(shipped(), replace(shipped(), gates=gates))) == ["not_in_profile", "not_covered"]

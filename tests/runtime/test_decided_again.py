@@ -774,6 +774,22 @@ async def test_a_session_whose_capability_takes_other_parameters_by_now_is_held_
         assert {why["code"] for why in runtime.desk.departed[session]} == {"params_invalid"}
 
 
+async def test_what_was_launched_without_what_its_capability_takes_besides_by_now_goes_on_but_is_not_bound_anew(
+    runtime: Runtime, cell: HandCell
+) -> None:
+    manifest, extra = "capabilities/grasp_object.yaml", "{type: number, unit: m, minimum: 0, maximum: 5, default: 1.0}"
+    more = edited(manifest, "  properties:\n", f"  properties:\n    extra_m: {extra}\n")
+    more = edited(manifest, "version: 1.0.0", "version: 1.1.0", more)
+    session = await approved(runtime, cell, OPERATOR)
+    await put_in_force(runtime, more)
+    assert cell.ops() == []
+    await taken(runtime, cell, session)
+    async with stating(cell, status="running"):
+        with pytest.raises(Conflict) as refused:
+            await runtime.governor.release(session, OPERATOR, "resume")
+    assert [(why["code"], "`extra_m`" in why["message"]) for why in refused.value.reasons] == [("params_invalid", True)]
+
+
 async def left(cell: HandCell, session: str) -> None:
     """Have a cell say that whoever drove has let go without a word."""
     await cell.report("status", session, status="escalated", reason="control_lapsed")
