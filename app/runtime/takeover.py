@@ -119,7 +119,7 @@ class Takeovers(Handbacks):
         self._allow_takeover(self.fleet.profile(cell))
         self.desk.ask_again(principal)
         self._reachable(cell, "")
-        params = self._alone(cell)
+        params = self._alone(cell, self.fleet.profile(cell))
         judgement = self.kernel.judge(Proposal(capability=TAKEOVER, params=params), None, cell)
         _held_to(judgement)
         name = self.kernel.identities.make("inv")
@@ -232,7 +232,7 @@ class Takeovers(Handbacks):
         """
         policy, effective = self.kernel.policy, dict(present.effective or {})
         if present.capability not in policy.capabilities:
-            return self._alone(cell)
+            return self._alone(cell, present.profile)
         bounds = watch_plan(policy, present.capability, present.profile, effective, present.terms.mode).bounds
         return self.kernel.fill_in(
             TAKEOVER,
@@ -243,12 +243,12 @@ class Takeovers(Handbacks):
             },
         )
 
-    def _alone(self, cell: Cell) -> dict[str, Any]:
+    def _alone(self, cell: Cell, profile: str) -> dict[str, Any]:
         """Return the limits of driving an idle cell: the profile's; what is held already stays as firmly held."""
         facts = self.fleet.facts(cell).facts
         if facts is None or facts.gripper_empty:
             return self.kernel.fill_in(TAKEOVER, {})
-        limit = self.kernel.policy.profiles[self.fleet.profile(cell)].limits["grip_force_n"]
+        limit = self.kernel.policy.profiles[profile].limits["grip_force_n"]
         return self.kernel.fill_in(TAKEOVER, {"grip_force_n": limit.maximum})
 
     def _driving(

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import asyncio
+import base64
+import json
+import re
 import sqlite3
 from dataclasses import replace
 from pathlib import Path
@@ -597,6 +600,26 @@ async def test_a_session_of_a_capability_that_policy_dropped_still_asks_and_is_t
     assert (question["status"], question["risk"]) == ("pending", "critical")
     await runtime.governor.take_over(made["id"], OPERATOR)
     await cell.expect("launch", 2)
+
+
+async def test_a_session_is_taken_over_also_where_policy_dropped_what_its_cell_is_under_by_now(
+    runtime: Runtime, cell: HandCell
+) -> None:
+    """And its capability: nothing but the profile that it was launched under says then how firmly something is held."""
+    gone = "profiles/test-audit.yaml"
+    fewer = {name: re.sub("test-audit: [a-z-]+, ", "", text) for name, text in DROPPED.items() if name != gone}
+    await cell.state()
+    look = ProposalRequest(capability="inspect_area", params={"area": "bench_a_top"})
+    made, _ = await runtime.governor.propose(AGENT, look)
+    await cell.launched(made["id"])
+    await runtime.governor.set_profile(cell.id, "test-audit", ENGINEER)
+    await put_in_force(runtime, fewer)
+    await cell.report("status", made["id"], status="escalated", reason="policy_changed")
+    cell.facts = {**AT_BENCH, "gripper_empty": False, "holding": "mug_1"}
+    await cell.state(status="escalated")
+    await runtime.governor.take_over(made["id"], OPERATOR)
+    driving = json.loads(base64.b64decode((await cell.expect("launch", 2)).body))
+    assert (driving["profile"], driving["params"]["grip_force_n"]) == ("human-shared", 60.0)
 
 
 # -- what comes back after a restart -----------------------------------------------------------------------------------
