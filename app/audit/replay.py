@@ -241,7 +241,7 @@ class _Again:
         if kept["policy_version"] != policy.digest:
             params = policy.validate_params(proposal.capability, cast("Any", proposal.params), proposal.version)
             if isinstance(params, tuple):
-                after, what = "invalid", f"{PARAMS}: {params[0].message}"
+                after, what = "invalid", f"{PARAMS}: {params[0].said}"
                 return self._changed(seq, invocation, profile, proposal, _said(kept, verdict), after, what)
             if params != proposal.params:
                 proposal = Proposal(

@@ -123,7 +123,7 @@ def _misfits(old: PolicySet | None, new: PolicySet, proposal: Proposal) -> tuple
     if not isinstance(found, tuple) or found == known:
         return ()
     takes = f"`{proposal.capability}` takes other parameters now"
-    return tuple(_news("params_invalid", f"{takes}: {problem.message}") for problem in found)
+    return tuple(_news("params_invalid", f"{takes}: {problem.said}") for problem in found)
 
 
 def _as_taken_by(policy: PolicySet, proposal: Proposal) -> Proposal:

@@ -37,6 +37,11 @@ class ParamProblem(NamedTuple):
     message: str
     remedy: str = ""
 
+    @property
+    def said(self) -> str:
+        """Return what is wrong with which parameter; what is missing names itself."""
+        return f"`{self.param}` {self.message}" if self.param else self.message
+
 
 Known: TypeAlias = "tuple[tuple[str, str, frozenset[str]], ...]"
 
