@@ -8,11 +8,12 @@ say is no news, and what the new one leaves freer touches only what starts later
 |---|---|
 | does not admit it (capability, profile, permission, mode, names), or takes other parameters for it | departs |
 | denies it, or holds its parameters tighter | departs |
+| has something else under a name that says where it works | departs |
 | watches it more strictly, recovers it less or otherwise, or has a further phase confirmed | departs |
 | has people asked about what recovers it, denies that, or holds or watches it tighter | departs |
 | wants a human's word that the old one did not want | departs, and one person's word lets it go on |
 
-A session cannot be bound to other parameters while it runs: what departs in one of the first four ways may only end.
+A session cannot be bound to other parameters while it runs: what departs in any way but the last may only end.
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ from app.governance.authority import need
 from app.governance.coverage import acting_for, recoveries
 from app.governance.guard import check
 from app.governance.model import Admission, AdmissionOutcome, PolicyOutcome, Reason, Strategy
+from app.governance.places import places
 from app.governance.plans import confirm_before, recovery_plan, watch_plan
 from app.governance.policy_model import GOVERNANCE
 from app.governance.recovery import DEFAULT_BUDGET
@@ -98,6 +100,7 @@ def departure(
     refused = (
         *_rejected(admission, before),
         *_held(verdict, said, taken),
+        *_moved(old, new, proposal, context),
         *_watched(old, new, proposal, context),
         *_recovered(old, new, _covered(old, proposal, then, covered), then, context),
     )
@@ -149,6 +152,20 @@ def _held(verdict: Verdict, said: Verdict, taken: Proposal) -> tuple[Reason, ...
         return ()
     by = {change.rule for change in verdict.changes}
     return tuple(reason for reason in verdict.reasons if reason.rule in by) or verdict.reasons
+
+
+def _moved(old: PolicySet, new: PolicySet, proposal: Proposal, context: Context) -> tuple[Reason, ...]:
+    """Return which places that what runs names are others by now: it works where the old site has them.
+
+    What has no place any more admission says; where an object is, sensors do.
+    """
+    gate, found = old.gates.get((proposal.capability, context.profile)), list[Reason]()
+    for param, kind, _ in () if gate is None else gate.known:
+        name = str(proposal.params.get(param))
+        was, now = (places(policy.site).get(kind, {}).get(name) for policy in (old, new))
+        if now is not None and now != was:
+            found.append(_news("place_changed", f"the {kind} `{name}` is another place in the site now"))
+    return tuple(found)
 
 
 def _wanted(

@@ -142,6 +142,17 @@ def names(site: Site) -> Mapping[str, frozenset[str]]:
     }
 
 
+def places(site: Site) -> Mapping[str, Mapping[str, object]]:
+    """Return where everything is that a parameter may name, by kind; where an object is, sensors say."""
+    return {
+        "target": {name: (found.x_m, found.y_m, found.yaw_rad) for name, found in site.targets.items()},
+        "surface": site.surfaces,
+        "area": site.areas,
+        "corridor": site.corridors,
+        "tool": site.tools,
+    }
+
+
 def kinds(site: Site) -> Mapping[str, frozenset[str]]:
     """Return what kinds of objects and of tools there are."""
     return {

@@ -121,6 +121,36 @@ def test_departs_when_what_recovers_it_takes_other_parameters_by_now() -> None:
     assert "`release_and_retract` takes other parameters now" in found.reasons[0].message
 
 
+@pytest.mark.parametrize(
+    ("what", "part", "before", "after"),
+    [
+        (proposal("navigate_to", target="dock", clearance_m=0.3), "dock", "dock: {x_m: 0.8", "dock: {x_m: 1.0"),
+        (proposal("navigate_to", x_m=2, y_m=2, yaw_rad=0, corridor="aisle"), "aisle", "[3.4, 3.6]", "[3.4, 3.7]"),
+        (proposal("place_object", surface="bench_a"), "bench_a", "y_m: 5.4, z_m: 0.75", "y_m: 5.4, z_m: 0.7"),
+        (proposal("inspect_area", area="bench_a_top"), "bench_a_top", "[2.3, 5.75]", "[2.3, 5.7]"),
+        (PULL, "lever", "lever, x_m: 3.15", "lever, x_m: 3.2"),
+    ],
+    ids=["target", "corridor", "surface", "area", "tool"],
+)
+def test_departs_when_where_it_works_is_another_place_by_now(
+    what: Proposal, part: str, before: str, after: str
+) -> None:
+    filled = shipped().validate_params(what.capability, what.params)
+    assert not isinstance(filled, tuple)
+    other = edited(("site.yaml", before, after))
+    found = between(shipped(), other, replace(what, params=filled))
+    assert ("place_changed" in codes(found), found.askable) == (True, False)
+    assert f"`{part}`" in next(why.message for why in found.reasons if why.code == "place_changed")
+
+
+def test_goes_on_where_other_places_than_its_own_have_changed() -> None:
+    other = edited(
+        ("site.yaml", "dock: {x_m: 0.8", "dock: {x_m: 1.0"),
+        ("site.yaml", "x_m: 1.45, y_m: 5.25", "x_m: 1.4, y_m: 5.25"),
+    )
+    assert between(shipped(), other) is CONFORMS
+
+
 # -- admission ---------------------------------------------------------------------------------------------------------
 
 
