@@ -16,12 +16,12 @@ from app.audit.event import EventDraft
 from app.clock import monotonic_s
 from app.governance.authority import refusal
 from app.governance.control import TAKEOVER, Claim, Control, Taking, Where, command, take
-from app.governance.model import SESSION, AuthorityMode, EventKind, Proposal, Role, Status, Wish
+from app.governance.model import SESSION, AuthorityMode, EventKind, Proposal, Reason, Role, Status, Wish
 from app.governance.plans import watch_plan
 from app.protocol import Jog
 from app.runtime.cells import Hands
 from app.runtime.drafts import SERVER
-from app.runtime.errors import Conflict
+from app.runtime.errors import Conflict, InvalidParams
 from app.runtime.handback import Handbacks
 from app.runtime.hands import OPEN, taken
 from app.runtime.invocation import Invocation, Terms, reasons_document
@@ -31,7 +31,6 @@ from app.runtime.uncut import uncut
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from app.governance.model import Reason
     from app.runtime.cells import Cell, Moment
     from app.runtime.invocation import Principal
     from app.runtime.kernel import Judgement
@@ -234,22 +233,28 @@ class Takeovers(Handbacks):
         if present.capability not in policy.capabilities:
             return self._alone(cell, present.profile)
         bounds = watch_plan(policy, present.capability, present.profile, effective, present.terms.mode).bounds
-        return self.kernel.fill_in(
-            TAKEOVER,
-            {
-                "tcp_speed_mps": bounds.tcp_speed_mps,
-                "base_speed_mps": bounds.base_speed_mps,
-                "grip_force_n": bounds.grip_force_n,
-            },
+        return self._limits(
+            tcp_speed_mps=bounds.tcp_speed_mps,
+            base_speed_mps=bounds.base_speed_mps,
+            grip_force_n=bounds.grip_force_n,
         )
 
     def _alone(self, cell: Cell, profile: str) -> dict[str, Any]:
         """Return the limits of driving an idle cell: the profile's; what is held already stays as firmly held."""
         facts = self.fleet.facts(cell).facts
         if facts is None or facts.gripper_empty:
-            return self.kernel.fill_in(TAKEOVER, {})
+            return self._limits()
         limit = self.kernel.policy.profiles[profile].limits["grip_force_n"]
-        return self.kernel.fill_in(TAKEOVER, {"grip_force_n": limit.maximum})
+        return self._limits(grip_force_n=limit.maximum)
+
+    def _limits(self, **limits: float) -> dict[str, Any]:
+        """Return limits as policy takes them of whoever drives; whoever takes the controls said none of these."""
+        try:
+            return self.kernel.fill_in(TAKEOVER, limits)
+        except InvalidParams as error:
+            told = f"`{TAKEOVER}` does not take the limits that are to be held here: {error}"
+            why = Reason("authority/takeover", "params_invalid", told, "stop it, or put a policy in force that does")
+            raise _not_let(why) from error
 
     def _driving(
         self, name: str, cell: Cell, principal: Principal, params: Mapping[str, Any], judgement: Judgement
@@ -381,8 +386,12 @@ def _theirs(cell: Cell, document: dict[str, Any]) -> dict[str, Any]:
 
 def _held_to(judgement: Judgement) -> None:
     if judgement.status is not Status.RUNNING:
-        reasons = [reason._asdict() for reason in judgement.reasons()]
-        raise Conflict("takeover_refused", "policy does not let anybody drive now", reasons=reasons)
+        raise _not_let(*judgement.reasons())
+
+
+def _not_let(*reasons: Reason) -> Conflict:
+    message = "policy does not let anybody drive now"
+    return Conflict("takeover_refused", message, reasons=reasons_document(reasons))
 
 
 def _moved(session: Invocation, held: Mapping[str, Any]) -> bool:

@@ -622,6 +622,23 @@ async def test_a_session_is_taken_over_also_where_policy_dropped_what_its_cell_i
     assert (driving["profile"], driving["params"]["grip_force_n"]) == ("human-shared", 60.0)
 
 
+async def test_who_takes_over_where_policy_cannot_say_the_limits_of_a_session_is_refused_as_by_policy(
+    runtime: Runtime, cell: HandCell
+) -> None:
+    manifest = "capabilities/takeover.yaml"
+    renamed = edited(manifest, "    tcp_speed_mps: {", "    hand_mps: {")
+    renamed = edited(manifest, "version: 1.0.0", "version: 2.0.0", renamed)
+    await put_in_force(runtime, {name: text for name, text in renamed.items() if not name.startswith("tests/")})
+    made = await running(runtime, cell)
+    with pytest.raises(Conflict, match="policy does not let anybody drive now") as refused:
+        await runtime.governor.take_over(made["id"], OPERATOR)
+    assert (refused.value.code, [why["code"] for why in refused.value.reasons]) == (
+        "takeover_refused",
+        ["params_invalid"],
+    )
+    assert runtime.governor.cells()[0]["control"] is None
+
+
 # -- what comes back after a restart -----------------------------------------------------------------------------------
 
 
