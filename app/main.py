@@ -91,7 +91,7 @@ def serve(settings: Settings) -> int:
         try:
             with asyncio.Runner(loop_factory=uvloop.new_event_loop) as runner:
                 return runner.run(_serve(settings, policies, listener))
-        except (PolicyErrors, NotFound) as error:
+        except (PolicyErrors, NotFound, ExaminationFailed) as error:
             hint = "`--take-policies` puts the directory's version in force instead"
             say_error(f"the version that an engineer put in force cannot be enforced: {error}", hint=hint)
             return MISUSE

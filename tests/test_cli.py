@@ -20,6 +20,7 @@ from starlette.datastructures import Headers
 from typer.testing import CliRunner
 
 from app import __version__
+from app import main as app_main
 from app.api.auth import open_principals, withdraw_tokens
 from app.api.problems import Problem
 from app.audit.places import Places
@@ -27,6 +28,7 @@ from app.audit.store import AuditStore
 from app.cli import app, main
 from app.config import CELL_TOKEN_VARIABLE, CellSettings, ConfigError, Settings, find_policies
 from app.main import listen, operator_token, read_cell_token
+from app.runtime.errors import ExaminationFailed
 from app.terminal import INTERRUPTED, plain
 from tests.agent.scripted_server import Turn, serve
 from tests.audit.conftest import draft, fill, hide_from_index
@@ -392,6 +394,20 @@ def test_a_note_of_tokens_that_cannot_be_read_keeps_no_server_from_starting(
     withdraw_tokens(tmp_path, "operator")
     assert operator_token(note, open_principals(tmp_path)) == ""
     assert "holds no more" in capsys.readouterr().out
+
+
+def test_a_start_on_a_policy_that_does_not_compile_any_more_says_so_and_the_way_out(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    async def broken(*_: object) -> int:
+        raise ExaminationFailed("it ended with `1`: TypeError")
+
+    monkeypatch.setattr("app.main._serve", broken)
+    settings = Settings(data=tmp_path / "data", policies=POLICIES, port=0)
+    assert app_main.serve(settings) == 2
+    said = capsys.readouterr().err
+    assert "it ended with `1`: TypeError" in said
+    assert "--take-policies" in said
 
 
 @pytest.mark.parametrize("option", ["--seeds", "--jobs"])

@@ -354,6 +354,7 @@ class Versions:
         Raises:
             PolicyErrors: what was in force is no policy any more, for instance after a newer release.
             NotFound: its files are lost.
+            ExaminationFailed: it could not be compiled.
         """
         directory, now = self._kernel.policy, self._register.now()
         before = await self._before()
