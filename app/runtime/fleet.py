@@ -57,13 +57,17 @@ class Fleet:
         self.kernel_key = ""
         self.policy_digest = ""
         self.policy_files: Mapping[str, str] = {}
+        self._profiles = frozenset[str]()  # that the policy in force knows
 
-    def enforce(self, *, kernel_key: str, policy_digest: str, policy_files: Mapping[str, str]) -> None:
+    def enforce(
+        self, *, kernel_key: str, policy_digest: str, policy_files: Mapping[str, str], profiles: frozenset[str]
+    ) -> None:
         """Say which key signs and which policy is in force; cells learn it now, or at their welcome.
 
         What is ordered from here on comes behind it, on every link.
         """
         self.kernel_key = kernel_key
+        self._profiles = profiles
         self.policy_digest = policy_digest
         self.policy_files = policy_files
         for cell in self.cells():
@@ -194,6 +198,9 @@ class Fleet:
             return "not attached, or silent"
         if (fault := _fault(cell, cell.state)) is not None:
             return fault
+        if cell.profile not in self._profiles:
+            valid = ", ".join(f"`{name}`" for name in sorted(self._profiles))
+            return f"the policy in force has no profile `{cell.profile}`; valid: put it under one of {valid}"
         if cell.behind:
             return "its older reports are not in the log yet"
         self._world(cell, cell.state)  # which finds out

@@ -285,6 +285,7 @@ class Kernel:
             kernel_key=key_text(self._key.public_key().public_bytes_raw()),
             policy_digest=policy.digest,
             policy_files=policy.files,
+            profiles=self.profiles(),
         )
 
     # -- what the context knows --------------------------------------------------------------------------------------

@@ -639,6 +639,18 @@ async def test_who_takes_over_where_policy_cannot_say_the_limits_of_a_session_is
     assert runtime.governor.cells()[0]["control"] is None
 
 
+async def test_a_cell_under_a_profile_that_policy_dropped_is_named_until_it_is_put_under_another(
+    runtime: Runtime, cell: HandCell
+) -> None:
+    files = {name: text for name, text in FILES.items() if name != SHARED and not name.startswith("tests/")}
+    fewer = {name: re.sub(", human-shared: [a-z-]+", "", text) for name, text in files.items()}
+    await put_in_force(runtime, fewer)
+    await cell.state()
+    assert "no profile `human-shared`" in runtime.governor.ready()[f"cell/{cell.id}"]
+    await runtime.governor.set_profile(cell.id, "real-restricted", ENGINEER)
+    assert runtime.governor.ready() == {}
+
+
 # -- what comes back after a restart -----------------------------------------------------------------------------------
 
 
