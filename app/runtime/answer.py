@@ -332,7 +332,7 @@ class Answer:
         asked = present.evolve(now, reasons=reasons, digest=bound, carried=carried, acknowledged=())
         shown = self._invocation.evolve(now, escalation=asked.reference())
         await self._questions.commit([escalation_event(asked)], asked, shown)
-        self._questions.asked_for(present.invocation, wanted)
+        self._questions.departures.ask(present.invocation, wanted)
         raise _asked_anew(reasons)
 
     async def end(self, why: Denial) -> Escalation:

@@ -78,9 +78,7 @@ class Desk(Questions):
         """
         if question.kind == APPROVAL:
             return super().outdated(question)
-        unsaid = any(why not in question.reasons for why in self.departed.get(question.invocation, ()))
-        over = any(why in question.reasons for why in self.conformed.get(question.invocation, ()))
-        return POLICY_CHANGED if unsaid or over else None
+        return POLICY_CHANGED if self.departures.misstated(question.invocation, question.reasons) else None
 
     # -- reading -----------------------------------------------------------------------------------------------------
 
@@ -167,10 +165,9 @@ class Desk(Questions):
             answer = Answer(self, entry.newest, present, principal, comment, grant, first)
             match present.kind, decision:
                 case "session", "approve":
-                    told = self.departed.get(present.invocation)
+                    answered = self.departures.standing(present.invocation)
                     final = await answer.go_on(params)
-                    if self.departed.get(present.invocation) is told:  # or another policy has something against it now
-                        self.departed.pop(present.invocation, None)  # with a human's word, to which policy leaves it
+                    self.departures.let_go(present.invocation, answered)
                 case "session", _:
                     final = await answer.end(why)
                 case _, "approve":

@@ -16,6 +16,7 @@ from app.clock import monotonic_s, rfc3339
 from app.governance.authority import waiting
 from app.governance.model import Reason
 from app.protocol import Human
+from app.runtime.departures import Departures
 from app.runtime.drafts import reason
 from app.runtime.errors import Conflict, Forbidden
 from app.runtime.escalation import (
@@ -61,9 +62,7 @@ class Questions:
         self.grants = Grants(register, fleet, kernel)
         self.on_held: Callable[[Escalation], None] = lambda _: None
         self.kept_back: Callable[[Invocation], Sequence[Mapping[str, str]]] = lambda _: ()
-        self.departed: dict[str, list[dict[str, str]]] = {}  # why sessions do not conform to the policy in force
-        self.conformed: dict[str, list[dict[str, str]]] = {}  # why they did not to one before it
-        self.holding: dict[str, float] = {}  # sessions that policy has hold and have not said so; when they were told
+        self.departures = Departures()
         self._pending: dict[str, Escalation] = {}
         self._until_s: dict[str, tuple[float, float]] = {}  # the deadline, and when that is on the clock nobody sets
         self._asking: Counter[str] = Counter()  # by agent, what is being recorded
@@ -248,14 +247,6 @@ class Questions:
         """Return the open question about an invocation as withdrawn, if there is one; `hold` it once recorded."""
         present = self.pending_for(invocation)
         return None if present is None else present.evolve(self.register.now(), status=WITHDRAWN)
-
-    def asked_for(self, invocation: str, reasons: Sequence[Mapping[str, str]]) -> None:
-        """Note that the policy in force has people asked for these reasons, which one before it may have had as well.
-
-        What was over with that one is asked: else an answer would be refused for saying it, and for not saying it.
-        """
-        over = self.conformed.get(invocation, ())
-        self.conformed[invocation] = [why for why in over if why not in reasons]
 
     # -- closing ----------------------------------------------------------------------------------------------------
 

@@ -153,7 +153,7 @@ class Story:
 
         A cell says that a session is escalated, and then why. Who has answered by then is not asked again.
         """
-        self._desk.holding.pop(version.id, None)  # whoever lets it go on, or takes it over, need not wait to be seen
+        self._desk.departures.holds(version.id)
         asked_before = version.terms.asked_tick == event.tick and event.kind == EventKind.ESCALATION
         if question is None and (asked_before or self._answered_meanwhile(version, event)):
             if version.status is not Status.ESCALATED:
@@ -162,8 +162,9 @@ class Story:
         phase, reasons = _asked(event)
         paused = event.body.get("paused") is True
         code = event.body.get("reason")
-        if code == CHANGED and (told := self._desk.departed.get(version.id)):
-            reasons = [*told, *reasons] if event.body.get("failure") else told  # what had failed is no word of policy's
+        if code == CHANGED and (told := self._desk.departures.standing(version.id)):
+            failed = reasons if event.body.get("failure") else ()  # without one, they are no more than the code
+            reasons = [*told, *failed]
         if question is None:
             asked = self._desk.session_question(version, reasons, phase, paused=paused)
         elif code == LINK and not _of_the_link(question):  # it waits as before, on the terms it was asked on

@@ -41,7 +41,7 @@ from app.runtime.uncut import uncut
 from app.runtime.version import UNREADABLE
 
 if TYPE_CHECKING:
-    from collections.abc import Awaitable, Callable, Mapping
+    from collections.abc import Awaitable, Callable
 
     from app.governance.model import ApprovalNeed
     from app.governance.policy import PolicySet
@@ -103,7 +103,7 @@ class Succession:
     def _compare(self, present: Invocation) -> list[EventDraft]:
         """Tell a session to hold if it departs from what is in force now; return what was done."""
         found = self.departure(present)
-        self._conforms(present.id, reasons_document(found.reasons))
+        self._desk.departures.conform(present.id, reasons_document(found.reasons))
         return [self._hold(present, found)] if found else []
 
     def departure(self, present: Invocation) -> Departure:
@@ -120,16 +120,9 @@ class Succession:
         found = self.departure(present)
         return [] if found.askable else reasons_document(found.reasons)
 
-    def _conforms(self, name: str, reasons: list[dict[str, str]]) -> None:
-        """Note that a session departs for no other reasons any more."""
-        desk = self._desk
-        before = (*desk.conformed.get(name, ()), *desk.departed.pop(name, ()))
-        desk.conformed[name] = [why for why in before if why not in reasons]
-
     def _hold(self, present: Invocation, found: Departure) -> EventDraft:
         reasons = reasons_document(found.reasons)
-        self._desk.departed[present.id] = reasons
-        self._desk.holding[present.id] = monotonic_s()
+        self._desk.departures.depart(present.id, reasons, monotonic_s())
         self._restrain(present)
         body = {
             "intervention": "ESCALATE",
@@ -157,11 +150,7 @@ class Succession:
             # What was said of what it was bound to before is of no matter to what it is bound to now.
             told = [body for body in await self._interventions(present.id) if body["former"] == present.policy_version]
             now = [why for body in told if body["policy_version"] == policy for why in body["reasons"]]
-            standing = _each(*desk.departed.get(present.id, ()), *now)
-            if standing:
-                desk.departed[present.id] = standing
-            said = _each(*(why for body in told for why in body["reasons"]))
-            desk.conformed[present.id] = [why for why in said if why not in standing]
+            desk.departures.recall(present.id, now, (why for body in told for why in body["reasons"]))
 
     async def _interventions(self, name: str) -> list[dict[str, Any]]:
         said = await events_of(self._register.store, invocation=name, kind=EventKind.INTERVENTION)
@@ -197,25 +186,24 @@ class Succession:
         """Tell sessions once more to hold, which were on their way to their cell when they were told."""
         now_s = monotonic_s()  # the wall clock may be put back, and what is to hold would run on for as long
         self._forget()
-        holding = self._desk.holding
-        for name, told_s in tuple(holding.items()):
+        departures = self._desk.departures
+        for name, told_s in departures.telling():
             present = self._register.newest(name)
             if present is None or present.status not in SESSION or present.status is Status.ESCALATED:
-                del holding[name]
+                departures.holds(name)
             elif present.terms.confirmed and now_s - told_s >= AGAIN_S:
-                holding[name] = now_s
+                departures.tell(name, now_s)
                 self._restrain(present)
 
     def _forget(self) -> None:
         """Forget how sessions departed that are over, or were let go on under the policy in force."""
-        desk, policy = self._desk, self._kernel.policy.digest
-        for name in {*desk.departed, *desk.conformed}:
+        departures, policy = self._desk.departures, self._kernel.policy.digest
+        for name in departures.sessions():
             present = self._register.newest(name)
             if present is None or present.status not in SESSION:
-                desk.departed.pop(name, None)
-                desk.conformed.pop(name, None)
+                departures.forget(name)
             elif present.policy_version == policy:
-                desk.departed.pop(name, None)
+                departures.bound(name)
 
     # -- what was decided before and recorded after --------------------------------------------------------------------
 
@@ -404,7 +392,8 @@ class Succession:
     async def _say_why(self, question: Escalation, invocation: Invocation) -> None:
         """Have a held session's question say what the policy in force has against its going on, and nobody else's."""
         now, policy = self._register.now(), self._kernel.policy.digest
-        told, over = self._desk.departed.get(invocation.id, []), self._desk.conformed.get(invocation.id, [])
+        departures = self._desk.departures
+        told, over = departures.standing(invocation.id) or (), departures.over(invocation.id)
         kept = [why for why in question.reasons if why not in (*told, *over, FORMER_HELD)]
         reasons = [*kept, *told] or [FORMER_HELD]
         under, carried = replace(invocation, policy_version=policy), question.carried
@@ -423,15 +412,6 @@ class Succession:
         """Wait for what is being ended."""
         if self._under_way:
             await asyncio.wait(self._under_way)
-
-
-def _each(*reasons: Mapping[str, str]) -> list[dict[str, str]]:
-    """Return reasons, each once."""
-    found: list[dict[str, str]] = []
-    for why in reasons:
-        if why not in found:
-            found.append(dict(why))
-    return found
 
 
 def _former(question: Escalation, bound: str) -> tuple[str, ...]:

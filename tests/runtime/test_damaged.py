@@ -242,5 +242,5 @@ async def test_a_session_departs_from_any_policy_when_its_own_cannot_be_compiled
         return await examine_here(candidate, against)
 
     async with replace(house, examine=broken).open() as second:
-        assert {why["code"] for why in second.desk.departed[name]} == {"its_policy_is_gone"}
+        assert {why["code"] for why in second.desk.departures.standing(name)} == {"its_policy_is_gone"}
         assert await put_in_force(second, SLOWER) == second.kernel.policy.digest

@@ -771,7 +771,7 @@ async def test_a_session_whose_capability_takes_other_parameters_by_now_is_held_
         assert [why["code"] for why in refused.value.reasons] == ["params_invalid"]
         await cell.hang_up()
     async with house.open() as runtime:
-        assert {why["code"] for why in runtime.desk.departed[session]} == {"params_invalid"}
+        assert {why["code"] for why in runtime.desk.departures.standing(session)} == {"params_invalid"}
 
 
 async def test_what_was_launched_without_what_its_capability_takes_besides_by_now_goes_on_but_is_not_bound_anew(
