@@ -39,8 +39,8 @@ _WORDS: Final = {
 }
 UNNAMED: Final = frozenset({""})
 _ATTACHED: Final = ('"link":"attached"',)
-_NUMBER: Final = "cell_seq"
-_NUMBERED: Final = (f'"{_NUMBER}":',)
+NUMBER: Final = "cell_seq"
+_NUMBERED: Final = (f'"{NUMBER}":',)
 
 
 class Latch(NamedTuple):
@@ -80,14 +80,14 @@ def latches(reader: Reader) -> dict[str, Latch]:
     told = [event for kind, words in _WORDS.items() for event in _all(reader, words, kind=kind)]
     for event in sorted(told):
         body: dict[str, Any] = event.payload()
-        named = event.actor if _NUMBER in body else body.get("cell")
+        named = event.actor if NUMBER in body else body.get("cell")
         if isinstance(named, str):
             found[named] = _follow(found.get(named, Latch()), event, body)
     return found
 
 
 def _follow(latch: Latch, event: Event, body: Mapping[str, Any]) -> Latch:
-    if _NUMBER in body:
+    if NUMBER in body:
         return _by_itself(latch, event, body)
     match event.kind, body.get("op"), body.get("what"):
         case EventKind.HUMAN, "estop", _:
@@ -140,7 +140,7 @@ def _spans(reader: Reader, cell: str) -> list[Span]:
     for event in _all(reader, _ATTACHED, kind=EventKind.CELL, actor=cell):
         body: dict[str, Any] = event.payload()
         journal = str(body.get("journal", ""))
-        if _NUMBER in body or (spans and journal in spans[-1].journals):
+        if NUMBER in body or (spans and journal in spans[-1].journals):
             continue
         if spans:
             former = spans[-1]
@@ -156,7 +156,7 @@ def _last(reader: Reader, cell: str, spans: Sequence[Span]) -> int:
         before = span.before
         while page := reader.holding(_NUMBERED, actor=cell, after=span.after, before=before, newest=True, limit=PAGE):
             for event in page:
-                if isinstance(number := event.payload().get(_NUMBER), int):
+                if isinstance(number := event.payload().get(NUMBER), int):
                     return number
             before = page[-1].seq
     return 0

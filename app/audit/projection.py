@@ -11,7 +11,7 @@ event by event:
 of what was approved); nothing once it was authorized |
 | approval | the effective parameters, which an approver may have edited, and what policy says of the edit |
 | authorization, the first | that it runs, with exactly those parameters |
-| cell, `not_sent` with an authorization | the policy version that it is bound by as before |
+| cell, the server's `not_sent` with an authorization | the policy version that it is bound by as before |
 | status, escalation | what the session does |
 | outcome | how it ended, and why nothing came of it, where it never ran; nothing comes after it |
 | any with a question, or that withdraws one | which question the document shows, and what became of it |
@@ -27,6 +27,7 @@ from typing import TYPE_CHECKING, Any, Final, cast
 
 import orjson
 
+from app.audit.cells import NUMBER
 from app.governance.control import TAKEOVER
 from app.governance.model import TERMINAL, AdmissionOutcome, EventKind, Outcome, Status
 from app.governance.recorded import KEY as CIRCUMSTANCES
@@ -47,7 +48,7 @@ FIELDS: Final = (
 )  # fmt: skip
 ADMISSION: Final = ("outcome", "reasons", "retry_after_s")  # of an event's body: what the document says of it
 POLICY: Final = ("outcome", "reasons", "changes")
-NOT_SENT: Final = "not_sent"  # what was recorded was not sent after all
+NOT_SENT: Final = "not_sent"  # what was recorded was not sent after all: the server's word, and no cell's
 QUESTION: Final = ("id", "status", "code")  # an earlier release left the document with an older deadline
 
 
@@ -222,9 +223,14 @@ def _authorization(known: Body, actor: str, body: Body) -> Body:
     }
 
 
+def unsent(body: Mapping[str, Any]) -> bool:
+    """Say whether a word about a cell says that what was recorded before was never sent; no report of a cell's does."""
+    return body.get("what") == NOT_SENT and NUMBER not in body
+
+
 def _cell(known: Body, actor: str, body: Body) -> Body:
-    unsent = body.get("what") == NOT_SENT and "policy_version" in body  # earlier releases left it at the unsent one
-    return {"policy_version": body["policy_version"]} if unsent else {}
+    # Earlier releases left it at the version of what was not sent.
+    return {"policy_version": body["policy_version"]} if unsent(body) and "policy_version" in body else {}
 
 
 def _status(known: Body, actor: str, body: Body) -> Body:

@@ -11,7 +11,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final
 
 from app.audit.documents import documents
-from app.audit.projection import FIELDS, NOT_SENT, differences, rebuild
+from app.audit.projection import FIELDS, differences, rebuild, unsent
 from app.governance.model import CoveredRecovery, EventKind, Mode, Outcome, Status, Strategy
 from app.runtime.escalation import PENDING, Escalation
 
@@ -113,7 +113,7 @@ def _covered(capability: str, events: Sequence[Event]) -> tuple[CoveredRecovery,
             permit = body["authorization"]
             if permit["capability"] == capability:  # one for a human's hands covers nothing of it
                 sent[permit["id"]] = permit
-        elif event.kind == EventKind.CELL and body.get("what") == NOT_SENT:
+        elif event.kind == EventKind.CELL and unsent(body):
             sent.pop(body.get("authorization", ""), None)
     own = next(reversed(sent.values()), None)
     if own is None:

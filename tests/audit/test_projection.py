@@ -151,6 +151,11 @@ def test_what_each_event_states(events: tuple[Told, ...], states: dict[str, Any]
     assert not [name for name in known if name.startswith("_")]
 
 
+def test_no_cell_says_by_which_version_its_session_is_bound() -> None:
+    reported = ("cell", {**UNSENT[1], "cell_seq": 7})
+    assert told(*RUN, permitted("navigate_to", "sha256:c", {}), reported)["policy_version"] == "sha256:c"
+
+
 @pytest.mark.parametrize(
     "odd", [("proposal", {}), status("asleep"), ("outcome", {"outcome": 3}), ("approval", {"escalation": None})]
 )

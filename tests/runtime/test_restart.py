@@ -122,6 +122,24 @@ async def test_the_end_of_a_takeover_that_its_cell_refused_ends_no_other_after_a
         assert "end_takeover" not in again.ops()
 
 
+async def test_no_cell_says_of_its_session_that_what_it_is_bound_by_was_not_sent(house: House) -> None:
+    async with house.open() as runtime:
+        cell = await HandCell(runtime).dial()
+        await cell.state()
+        document, _ = await runtime.governor.propose(AGENT, navigate())
+        await cell.launched(document["id"])
+        bound = runtime.register.newest(document["id"])
+        assert bound is not None
+        assert bound.terms.recoveries
+        said = {"authorization": bound.terms.authorization, "policy_version": "sha256:another"}
+        await cell.report("cell", document["id"], what="not_sent", **said)
+        await cell.hang_up()
+    async with house.open() as runtime:
+        after = runtime.register.newest(document["id"])
+        assert after is not None
+        assert (after.policy_version, after.terms.recoveries) == (bound.policy_version, bound.terms.recoveries)
+
+
 async def test_a_session_whose_cell_died_is_a_fault(house: House) -> None:
     async with house.open() as first:
         cell = await HandCell(first).dial()
