@@ -226,7 +226,12 @@ class Succession:
         context = self._kernel.context(launching.capability, launching.agent, launching)
         covered = launching.terms.recoveries
         found = self._kernel.departure(judgement.policy, proposal, context, covered)
-        return (OVERTAKEN, *found.reasons) if found else ()
+        if found:
+            return (OVERTAKEN, *found.reasons)
+        if anew:  # what was said meanwhile was of what it was bound to before
+            self._desk.departures.conform(launching.id, [])
+            self._desk.departures.holds(launching.id)
+        return ()
 
     def abandon(self, name: str, reasons: tuple[Reason, ...]) -> None:
         """End what was recorded as launched and never was; nothing has moved."""

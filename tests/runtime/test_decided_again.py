@@ -42,7 +42,18 @@ from .conftest import (
 )
 from .test_desk import answer, asked, holding
 from .test_races import Gate
-from .test_versions import ENGINEER_2, FILES, NO_RETREAT, ORGANIZATION, SHARED, SLOWER, brought, edited, put_in_force
+from .test_versions import (
+    ENGINEER_2,
+    FASTER,
+    FILES,
+    NO_RETREAT,
+    ORGANIZATION,
+    SHARED,
+    SLOWER,
+    brought,
+    edited,
+    put_in_force,
+)
 
 pytestmark = pytest.mark.anyio
 
@@ -295,6 +306,37 @@ async def test_a_hand_back_is_not_sent_under_a_policy_that_gives_way_while_it_is
     assert after_a_start.unfounded == {}
     assert after_a_start.newest(session) == newest, "what the unsent authorization covered counts for nothing"
     await handed_back(runtime, cell, session)  # decided again under what is in force
+
+
+async def test_what_goes_on_under_a_policy_that_gave_way_is_not_asked_what_was_said_of_what_bound_it_before(
+    runtime: Runtime, cell: HandCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Nor told to hold again and again: both that it is bound by anew and what is in force let it go on."""
+    await put_in_force(runtime, edited(SHARED, "sensitivity: 0.9", "sensitivity: 0.8"))
+    session = await approved(runtime, cell, OPERATOR)
+    await put_in_force(runtime, FILES)
+    await taken(runtime, cell, session)
+    gate = Gate(runtime, monkeypatch)
+    launched = len(cell.all("launch"))
+    back = asyncio.ensure_future(runtime.governor.release(session, OPERATOR, "resume"))
+    async with stating(cell, status="running"):
+        await gate.reached.wait()
+    monkeypatch.undo()  # the record takes what comes behind it first
+    await put_in_force(runtime, FASTER)
+    assert {why["code"] for why in runtime.desk.departures.standing(session)} == {"watched_tighter"}
+    gate.open.set()
+    await cell.expect("launch", launched + 1)
+    told = cell.ops().count("escalate")
+    await cell.report("status", session, status="running", before="recovering", reason="handed_back")
+    await back
+    await asyncio.sleep(2 * AGAIN_S)
+    assert cell.ops().count("escalate") == told
+    await cell.report("status", session, status="escalated", reason="policy_changed")
+    question = runtime.desk.pending_for(session)
+    assert question is not None
+    assert codes(question) == {"policy_changed"}
+    await runtime.desk.resolve(question.id, OPERATOR, "approve", question.digest)
+    await until(lambda: cell.ops()[-1] == "resolve_continue")
 
 
 async def test_a_session_that_said_that_it_holds_is_not_told_again_though_it_went_on_at_once(
