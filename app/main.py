@@ -34,8 +34,8 @@ from app.governance.bundle import load, read_properties
 from app.governance.errors import PolicyErrors
 from app.governance.stated import read as read_promises
 from app.runtime.assembly import Runtime
-from app.runtime.errors import ExaminationFailed, NotFound
-from app.runtime.version import PROVED, UNKNOWN
+from app.runtime.errors import ExaminationFailed
+from app.runtime.version import PROVED, UNKNOWN, UNREADABLE
 from app.terminal import FINE, MISUSE, complain, counting, err, remark, say, say_error, stop_signals
 
 if TYPE_CHECKING:
@@ -91,7 +91,7 @@ def serve(settings: Settings) -> int:
         try:
             with asyncio.Runner(loop_factory=uvloop.new_event_loop) as runner:
                 return runner.run(_serve(settings, policies, listener))
-        except (PolicyErrors, NotFound, ExaminationFailed) as error:
+        except UNREADABLE as error:
             hint = "`--take-policies` puts the directory's version in force instead"
             say_error(f"the version that an engineer put in force cannot be enforced: {error}", hint=hint)
             return MISUSE

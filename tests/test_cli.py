@@ -23,6 +23,7 @@ from app import __version__
 from app import main as app_main
 from app.api.auth import open_principals, withdraw_tokens
 from app.api.problems import Problem
+from app.audit.errors import RowUnreadable
 from app.audit.places import Places
 from app.audit.store import AuditStore
 from app.cli import app, main
@@ -396,17 +397,20 @@ def test_a_note_of_tokens_that_cannot_be_read_keeps_no_server_from_starting(
     assert "holds no more" in capsys.readouterr().out
 
 
-def test_a_start_on_a_policy_that_does_not_compile_any_more_says_so_and_the_way_out(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize(
+    "why", [ExaminationFailed("it ended with `1`: TypeError"), RowUnreadable("policy_files", "sha256:a", TypeError())]
+)
+def test_a_start_on_a_policy_that_cannot_be_had_any_more_says_so_and_the_way_out(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], why: Exception
 ) -> None:
     async def broken(*_: object) -> int:
-        raise ExaminationFailed("it ended with `1`: TypeError")
+        raise why
 
     monkeypatch.setattr("app.main._serve", broken)
     settings = Settings(data=tmp_path / "data", policies=POLICIES, port=0)
     assert app_main.serve(settings) == 2
     said = capsys.readouterr().err
-    assert "it ended with `1`: TypeError" in said
+    assert str(why) in said
     assert "--take-policies" in said
 
 

@@ -113,8 +113,8 @@ class Runtime:
 
         Raises:
             RecordUnavailable: nothing can be recorded, so nothing may start.
-            PolicyErrors, NotFound, ExaminationFailed: the version that an engineer put in force cannot be enforced
-                any more.
+            PolicyErrors, NotFound, RowUnreadable, ExaminationFailed: the version that an engineer put in force cannot
+                be enforced any more.
         """
         drafts, rows = await self.versions.recall(take_directory=self._take_directory)
         await self.register.recall()
