@@ -118,6 +118,7 @@ class Takeovers(Handbacks):
         self._allow_takeover(self.fleet.profile(cell))
         self.desk.ask_again(principal)
         self._reachable(cell, "")
+        self._same_site(cell)
         params = self._alone(cell, self.fleet.profile(cell))
         judgement = self.kernel.judge(Proposal(capability=TAKEOVER, params=params), None, cell)
         _held_to(judgement)
@@ -135,6 +136,13 @@ class Takeovers(Handbacks):
             cell.control = before
             raise
         return _theirs(cell, document)
+
+    def _same_site(self, cell: Cell) -> None:
+        """Refuse controls that the cell has said it would not give: it works by another site than policy's."""
+        state = cell.state if cell.fresh else None
+        if state is not None and state.elsewhere and state.policy_digest == self.kernel.policy.digest:
+            remedy = "stop it, or put a policy of the robot's site in force"
+            raise _not_let(Reason("authority/takeover", "another_site", state.elsewhere, remedy))
 
     def _allow_takeover(self, profile: str) -> None:
         refused = refusal(self.kernel.policy, profile, AuthorityMode.TAKEOVER_ENABLED)
@@ -209,6 +217,7 @@ class Takeovers(Handbacks):
                 raise Conflict("takeover_refused", f"the controls of `{cell.id}` were let go of meanwhile")
             self._allow_takeover(present.profile)  # again: another policy may be in force by now
             self.desk.ask_again(principal)
+            self._same_site(cell)
             params = self._as_in(cell, present)
             proposal = Proposal(capability=TAKEOVER, params=params)
             judgement = self.kernel.judge(proposal, None, cell, within=present)

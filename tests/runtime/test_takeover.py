@@ -17,7 +17,7 @@ from app.governance.model import Wish
 from app.runtime.assembly import Runtime
 from app.runtime.errors import Conflict, Forbidden
 from app.runtime.invocation import Principal, ProposalRequest
-from tests.runtime.conftest import AGENT, ENGINEER, OPERATOR, OPERATOR_2, HandCell, House, stating, until
+from tests.runtime.conftest import AGENT, ENGINEER, OPERATOR, OPERATOR_2, HandCell, House, navigate, stating, until
 from tests.runtime.test_versions import FASTER, SHARED, edited, put_in_force
 
 pytestmark = pytest.mark.anyio
@@ -347,6 +347,33 @@ async def test_nobody_takes_over_where_the_profile_has_no_takeover(house: House)
         cell = await HandCell(runtime).dial()
         await cell.state()
         assert (await refused(runtime.governor.take_cell("workcell-1", OPERATOR))).code == "takeover_not_enabled"
+
+
+@pytest.mark.parametrize("idle", [True, False])
+async def test_nobody_is_given_controls_that_the_cell_would_not_give_under_a_policy_of_another_site(
+    runtime: Runtime, cell: HandCell, idle: bool
+) -> None:
+    session = None
+    if not idle:
+        made, _ = await runtime.governor.propose(AGENT, navigate())
+        session = made["id"]
+        await cell.launched(session)
+
+    async def take() -> Any:
+        taking = runtime.governor.take_cell(cell.id, OPERATOR) if session is None else None
+        return await (taking or runtime.governor.take_over(str(session), OPERATOR))
+
+    launched, why = len(cell.all("launch")), "the robot works by another site; valid: restart the cell"
+    await cell.state(elsewhere=why)
+    error = await refused(take())
+    assert (error.code, [(one["code"], one["message"]) for one in error.reasons]) == (
+        "takeover_refused",
+        [("another_site", why)],
+    )
+    assert (len(cell.all("launch")), runtime.governor.cells()[0]["control"]) == (launched, None)
+    await cell.state(elsewhere=why, policy_digest="sha256:another")  # so it said of one before
+    await take()
+    await cell.expect("launch", launched + 1)
 
 
 async def test_a_stop_ends_whoever_has_the_controls(runtime: Runtime, cell: HandCell, driving: str) -> None:
