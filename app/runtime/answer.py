@@ -33,7 +33,7 @@ from app.runtime.drafts import (
 from app.runtime.errors import Conflict, InvalidParams
 from app.runtime.escalation import APPROVED, DENIED, ROLLBACK, bound_digest
 from app.runtime.invocation import reasons_document
-from app.runtime.readmission import going_on, lapsed, readmitted
+from app.runtime.readmission import OFFLINE, going_on, lapsed, readmitted
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -312,10 +312,16 @@ class Answer:
         ):
             await self._ask_more(found.unasked, carried)
         remedy = "answer again, once it is asked about"  # it is answered by this, though it may not be sent
-        async with going_on(self._questions, cell, found, decided, "approve", remedy) as launch:
-            version = launch.invocation.evolve(closed.updated_at, escalation=closed.reference())
-            drafts = [self._event("approve", closed), *launch.events]
-            await self._questions.commit(drafts, closed, version, launch.rows)
+        answered = False
+        try:
+            async with going_on(self._questions, cell, found, decided, "approve", remedy) as launch:
+                version = launch.invocation.evolve(closed.updated_at, escalation=closed.reference())
+                drafts = [self._event("approve", closed), *launch.events]
+                await self._questions.commit(drafts, closed, version, launch.rows)
+                answered = True
+        except Conflict as error:
+            if not answered or error.code != OFFLINE:  # else it was answered all the same, and is asked about again
+                raise
         return closed
 
     async def _ask_more(self, need: ApprovalNeed, carried: str | None) -> NoReturn:

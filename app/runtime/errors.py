@@ -59,7 +59,7 @@ CONFLICTS: Final[Mapping[str, int]] = {
 
 
 class GaveWay(Exception):
-    """A policy, profile or grant that a decision stood on gave way before what was decided was sent; see `reasons`."""
+    """A policy, profile, grant or link that a decision stood on gave way before that was sent; see `reasons`."""
 
     def __init__(self, *reasons: Reason) -> None:
         """Say what gave way, and to what."""

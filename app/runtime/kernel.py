@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import base64
 import logging
-from contextlib import asynccontextmanager, suppress
+from contextlib import asynccontextmanager
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
@@ -66,6 +66,7 @@ if TYPE_CHECKING:
 log = logging.getLogger(__name__)
 
 ON_DUTY_S: Final = 120.0  # an operator who was heard within this is on duty
+SESSION: Final = "runtime/session"
 LAUNCH_WITHIN_S: Final = 10.0  # a permit not bound by then is worth nothing
 REFUSED_OUTCOME: Final[Mapping[Status, Outcome]] = {
     Status.REJECTED: Outcome.REJECTED,
@@ -413,8 +414,8 @@ class Kernel:
 
         Raises:
             Conflict: `cell_offline`, the cell of a session that is to change hands was away meanwhile.
-            GaveWay: a grant, policy or profile that such a session was to go on under gave way while that was recorded;
-                nothing is sent.
+            GaveWay: a grant, policy or profile that such a session was to go on under gave way while that was recorded,
+                or its cell was away; nothing is sent.
             RecordUnavailable: the log was found to be damaged; nothing is sent.
         """
         cell = self._fleet.cell(invocation.cell or "")
@@ -442,8 +443,15 @@ class Kernel:
             signature=base64.b64encode(signed.signature).decode(),
             anew=anew is not None,
         )
-        with suppress(Conflict):  # what has not begun may begin on any link: a cell that is back knows of nothing then
+        try:
             self._fleet.order(cell, message, decided=anew or Moment(restraints, cell.attachment))
+        except (
+            Conflict
+        ) as error:  # what has not begun, or a hand, is seen to when the cell is back and knows of neither
+            if anew is not None and invocation.capability != TAKEOVER:
+                raise GaveWay(
+                    Reason(SESSION, error.code, str(error), "once it is back: take it over, or answer")
+                ) from error
 
     def _launching(
         self, invocation: Invocation, judgement: Judgement, authorization: Authorization, body: str

@@ -28,6 +28,8 @@ if TYPE_CHECKING:
     from app.runtime.questions import Questions
 
 RULE: Final = "authority/takeover"
+OFFLINE: Final = "cell_offline"
+REFUSED: Final = "resume_refused"
 PROPOSE: Final = "roll it back or end it, and propose it again"
 
 
@@ -138,7 +140,8 @@ async def going_on(
 
     Raises:
         Conflict: `resume_refused`, what it was to go on by gave way while that was recorded, and nothing is sent: it
-            is in the hands, and under the terms, that it was in before; `cell_offline`, the cell was away meanwhile.
+            is in the hands, and under the terms, that it was in before; `cell_offline`, the cell was away meanwhile:
+            likewise.
         RecordUnavailable: nothing is sent.
     """
     present, judgement = found.session, found.judgement
@@ -152,8 +155,11 @@ async def going_on(
                     rows=(*launch.rows, *used),
                 )
     except GaveWay as error:
-        left = cell.profile == present.profile
-        why = [each._replace(remedy=remedy) for each in error.reasons] if left else [_gave_way(cell, present)]
+        why = list(error.reasons)
+        if cell.profile != present.profile:
+            why = [_gave_way(cell, present)]
+        elif why[0].code != OFFLINE:
+            why = [each._replace(remedy=remedy) for each in why]
         raise await _not_sent(desk, present, op, why) from error
 
 
@@ -168,11 +174,11 @@ async def _not_sent(desk: Questions, before: Invocation, op: str, reasons: Seque
             desk.register.now(), takeover=before.takeover, terms=before.terms, policy_version=bound
         )
         await desk.register.append([draft], versions=[version])
-    return _refused(f"{why.message}: it was not sent", reasons)
+    return _refused(f"{why.message}: it was not sent", reasons, code=OFFLINE if why.code == OFFLINE else REFUSED)
 
 
-def _refused(message: str, reasons: Sequence[Reason], bound: str | None = None) -> Conflict:
-    return Conflict("resume_refused", message, reasons=reasons_document(tuple(reasons)), digest=bound)
+def _refused(message: str, reasons: Sequence[Reason], bound: str | None = None, code: str = REFUSED) -> Conflict:
+    return Conflict(code, message, reasons=reasons_document(tuple(reasons)), digest=bound)
 
 
 def _misfit(what: str) -> Conflict:

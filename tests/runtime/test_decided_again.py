@@ -308,6 +308,54 @@ async def test_a_hand_back_is_not_sent_under_a_policy_that_gives_way_while_it_is
     await handed_back(runtime, cell, session)  # decided again under what is in force
 
 
+@pytest.mark.parametrize("lapsed", [False, True])
+async def test_what_was_let_go_on_while_its_cell_left_is_bound_by_what_it_was_bound_by(
+    house: House, monkeypatch: pytest.MonkeyPatch, lapsed: bool
+) -> None:
+    async with house.open() as runtime:
+        cell = await HandCell(runtime).dial()
+        await cell.state()
+        session = await approved(runtime, cell, OPERATOR)
+        await put_in_force(runtime, FASTER)
+        await taken(runtime, cell, session)
+        if lapsed:
+            await left(cell, session)
+        question, before = runtime.desk.pending_for(session), runtime.register.newest(session)
+        assert before is not None
+        launched, gate = len(cell.all("launch")), Gate(runtime, monkeypatch)
+        going = runtime.governor.release(session, OPERATOR, "resume")
+        if question is not None:
+            going.close()
+            going = runtime.desk.resolve(question.id, OPERATOR, "approve", question.digest)
+        doing = asyncio.ensure_future(going)
+        async with stating(cell, status="running"):
+            await gate.reached.wait()
+        monkeypatch.undo()
+        await cell.hang_up()
+        gate.open.set()
+        if question is None:
+            with pytest.raises(Conflict, match="it was not sent") as refused:
+                await doing
+            assert refused.value.code == "cell_offline"
+        else:
+            assert (await doing)["status"] == "approved"
+        newest = runtime.register.newest(session)
+        assert newest is not None
+        assert (newest.policy_version, newest.terms) == (before.policy_version, before.terms)
+        assert len(cell.all("launch")) == launched
+        back = replace(cell, runtime=runtime, heard=[], closed=None, status="running")
+        await (await back.dial()).state()
+        if question is None:
+            await until(lambda: back.ops() == ["let_go"])
+            await left(back, session)
+        async with stating(back, status="escalated"):
+            await until(lambda: runtime.desk.pending_for(session) is not None)
+        again = runtime.desk.pending_for(session)
+        assert again is not None
+        await runtime.desk.resolve(again.id, OPERATOR, "approve", again.digest)
+        await back.expect("launch")
+
+
 async def test_what_goes_on_under_a_policy_that_gave_way_is_not_asked_what_was_said_of_what_bound_it_before(
     runtime: Runtime, cell: HandCell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
