@@ -445,13 +445,11 @@ class Kernel:
         )
         try:
             self._fleet.order(cell, message, decided=anew or Moment(restraints, cell.attachment))
-        except (
-            Conflict
-        ) as error:  # what has not begun, or a hand, is seen to when the cell is back and knows of neither
-            if anew is not None and invocation.capability != TAKEOVER:
-                raise GaveWay(
-                    Reason(SESSION, error.code, str(error), "once it is back: take it over, or answer")
-                ) from error
+        except Conflict as error:
+            if anew is None or invocation.capability == TAKEOVER:
+                return  # what has not begun, or a hand, is seen to when the cell is back and knows of neither
+            remedy = "once it is back: take it over, or answer"
+            raise GaveWay(Reason(SESSION, error.code, str(error), remedy)) from error
 
     def _launching(
         self, invocation: Invocation, judgement: Judgement, authorization: Authorization, body: str

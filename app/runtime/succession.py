@@ -53,6 +53,7 @@ if TYPE_CHECKING:
     from app.runtime.register import Register
 
 AGAIN_S: Final = 0.2
+ENDS_FIRST_S: Final = 2.0  # a recovery ends before its session holds, and the record keeps every word to it
 RULE: Final = "policy/changed"
 OVERTAKEN: Final = Reason(
     RULE, CHANGED, "another policy came into force before this was sent, and does not let it", "propose again"
@@ -191,7 +192,7 @@ class Succession:
             present = self._register.newest(name)
             if present is None or present.status not in SESSION or present.status is Status.ESCALATED:
                 departures.holds(name)
-            elif present.terms.confirmed and now_s - told_s >= AGAIN_S:
+            elif present.terms.confirmed and now_s - told_s >= _again_s(present.status):
                 departures.tell(name, now_s)
                 self._restrain(present)
 
@@ -417,6 +418,10 @@ class Succession:
         """Wait for what is being ended."""
         if self._under_way:
             await asyncio.wait(self._under_way)
+
+
+def _again_s(status: Status) -> float:
+    return ENDS_FIRST_S if status is Status.RECOVERING else AGAIN_S
 
 
 def _former(question: Escalation, bound: str) -> tuple[str, ...]:

@@ -1081,6 +1081,17 @@ async def test_a_launch_on_its_way_is_held_as_soon_as_the_cell_has_it(runtime: R
     await until(lambda: cell.ops().count("escalate") >= 2)
 
 
+async def test_what_recovers_is_not_told_to_hold_five_times_a_second(runtime: Runtime, cell: HandCell) -> None:
+    made = await running(runtime, cell)
+    await cell.report("status", made["id"], status="recovering", reason="RETRY")
+    await runtime.versions.activate(await brought(runtime, SLOWER), ENGINEER, "a visitor")
+    await until(lambda: cell.ops() == ["escalate"])
+    await asyncio.sleep(3 * AGAIN_S)
+    assert cell.ops() == ["escalate"]
+    await cell.report("status", made["id"], status="running", reason="recovered")
+    await until(lambda: cell.ops().count("escalate") == 2)
+
+
 async def test_what_departs_between_its_decision_and_its_record_is_never_sent(runtime: Runtime, cell: HandCell) -> None:
     digest = await brought(runtime, SLOWER)
     slower = await runtime.versions.compiled(digest)
