@@ -235,7 +235,10 @@ class Succession:
         return ()
 
     def abandon(self, name: str, reasons: tuple[Reason, ...]) -> None:
-        """End what was recorded as launched and never was; nothing has moved."""
+        """End what was recorded as launched and never was; nothing has moved, and nobody drives it."""
+        for cell in self._fleet.cells():
+            if cell.driven(name):
+                cell.control = None
         task = asyncio.create_task(self._abandon(name, reasons_document(reasons)), name=f"abandon-{name}")
         self._under_way.add(task)
         task.add_done_callback(self._under_way.discard)

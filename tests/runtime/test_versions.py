@@ -1081,6 +1081,18 @@ async def test_a_launch_on_its_way_is_held_as_soon_as_the_cell_has_it(runtime: R
     await until(lambda: cell.ops().count("escalate") >= 2)
 
 
+async def test_nobody_is_given_the_controls_of_an_idle_cell_by_a_policy_that_gave_way_meanwhile(
+    runtime: Runtime, cell: HandCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    await cell.state()
+    first(runtime, await brought(runtime, edited(ORGANIZATION, "rules:\n", f"rules:\n{NO_HAND}")), monkeypatch)
+    with pytest.raises(Conflict) as refused:
+        await runtime.governor.take_cell(cell.id, OPERATOR)
+    assert refused.value.code == "takeover_refused"
+    await until(lambda: runtime.fleet.busy(runtime.fleet.cell(cell.id)) is None)
+    assert (runtime.governor.cells()[0]["control"], cell.all("launch")) == (None, [])
+
+
 async def test_what_recovers_is_not_told_to_hold_five_times_a_second(runtime: Runtime, cell: HandCell) -> None:
     made = await running(runtime, cell)
     await cell.report("status", made["id"], status="recovering", reason="RETRY")
