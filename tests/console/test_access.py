@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Sequence
+from datetime import datetime, timedelta
+from typing import Any
 from urllib.parse import urlsplit
 
 import pytest
-from playwright.sync_api import Page, expect
+from playwright.sync_api import Locator, Page, expect
 
 from app.api.pages import FOLDER, WORKER, read_pages
-from tests.conftest import ServerProcess
+from tests.conftest import ServerProcess, until
 from tests.console.conftest import (
     ANSWERS,
     DESK,
@@ -33,6 +35,7 @@ from tests.console.test_link import BROKEN
 from tests.console.wire import wire_to
 
 pytestmark = [pytest.mark.browser, pytest.mark.process]
+MANY = 5_000  # events of one trace
 AXE = ROOT / "web" / "node_modules" / "axe-core" / "axe.min.js"
 # In the other theme nothing but colours differs: two of a hundred rules look at them, and take half of the time.
 EVERYTHING = ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "wcag22aa", "best-practice"]
@@ -125,6 +128,60 @@ def test_axe_finds_nothing_on_any_page_in_dark_and_light(
         if PHONE in sizes:
             found[f"{name}, width"] = wider_than_the_screen(person.page)
     assert {name: what for name, what in found.items() if what} == {}
+
+
+def long_trace(server: ServerProcess, trace: str, count: int) -> dict[str, Any]:
+    """Return a trace with many events behind its own, as a session has them whose people come and go for hours."""
+    found = server.get(f"/v1/invocations/{trace}/trace")
+    last = found["items"][-1]
+    began = datetime.fromisoformat(last["at"])
+    for k in range(1, count - len(found["items"]) + 1):
+        body = {"signal": "WARNING", "rule": "separation_m", "value": 0.5, "threshold": 0.6, "tick": 4 * k}
+        at = (began + timedelta(seconds=0.04 * k)).isoformat()
+        found["items"].append(last | {"seq": last["seq"] + k, "at": at, "kind": "alert", "body": body})
+    return found
+
+
+@pytest.mark.parametrize("size", [DESK, PHONE], ids=["desk", "phone"])
+def test_of_a_trace_of_thousands_what_is_in_sight_is_drawn_and_all_can_be_gone_through(
+    server: ServerProcess, people: People, axe: str, trace: str, size: dict[str, int]
+) -> None:
+    whole = long_trace(server, trace, MANY)
+    person = people.sit(server, size=size)
+    person.page.route(f"**/v1/invocations/{trace}/trace", lambda route: route.fulfill(json=whole))
+    person.page.evaluate(f"location.hash = '#/audit/{trace}'")
+    events = person.region("Events of the session")
+    listed, drawn = events.get_by_role("listitem"), events.locator("svg")
+    expect(events).to_contain_text(f"of {MANY}")
+    assert listed.count() == MANY
+    current, rows = events.locator("[aria-current=step]"), events.get_by_role("list")
+    moment = person.page.get_by_role("slider", name="Moment of the session")
+    events.get_by_role("heading").scroll_into_view_if_needed()
+    for share in (0.5, 1, 0.02):
+        moment.evaluate(
+            """(range, share) => { range.value = share * range.max;
+            range.dispatchEvent(new Event('input', {bubbles: true})); }""",
+            share,
+        )
+        expect(current.locator("svg")).to_have_count(1)
+        until(lambda: within(current, rows) or person.page.wait_for_timeout(20), what="the event of that moment")
+        assert drawn.count() < MANY / 10
+    current.focus()
+    for _ in range(60):
+        person.press("Tab")
+    focused = events.locator("button:focus")
+    expect(focused.locator("svg")).to_have_count(1)
+    assert within(focused, rows)
+    at = focused.inner_text()
+    person.press("Enter")
+    expect(current).to_be_focused()
+    assert current.inner_text() == at
+    assert faults(person.page, axe) == []
+
+
+def within(row: Locator, rows: Locator) -> bool:
+    (inner, outer) = (box(row), box(rows))
+    return outer["y"] <= inner["y"] and inner["y"] + inner["height"] <= outer["y"] + outer["height"]
 
 
 @pytest.mark.parametrize("size", [DESK, PHONE], ids=["desk", "phone"])

@@ -145,8 +145,8 @@ export function newest(found: Invocation, known: Invocation | undefined): Invoca
 }
 
 /** Returns what was found in pieces of an equal length, the last one apart. */
-export function inPieces<T>(found: readonly T[]): T[][] {
-  return Array.from({ length: Math.ceil(found.length / PIECE) }, (_, k) => found.slice(k * PIECE, (k + 1) * PIECE));
+export function inPieces<T>(found: readonly T[], long = PIECE): T[][] {
+  return Array.from({ length: Math.ceil(found.length / long) }, (_, k) => found.slice(k * long, (k + 1) * long));
 }
 
 /** Events by their place in the log, from behind `from` on, or from where it begins. */

@@ -79,10 +79,21 @@ export function aheadOf(events: readonly LogEvent[], telemetry: Telemetry | null
   return typeof tick === 'number' && first != null ? first - (tick + 1) * TICK_S : null;
 }
 
-function anchorsOf(events: readonly LogEvent[], timeOf: (tick: number) => number): { wallS: number; cellS: number }[] {
+/** A moment that both clocks have; `untilS` is the latest that the wall clock had shown by then. */
+interface Anchor {
+  wallS: number;
+  cellS: number;
+  untilS: number;
+}
+
+function anchorsOf(events: readonly LogEvent[], timeOf: (tick: number) => number): Anchor[] {
+  let untilS = -Infinity;
   return events.flatMap((event) => {
     const tick = event.body['tick'];
-    return typeof tick === 'number' ? [{ wallS: wallOf(event), cellS: timeOf(tick) }] : [];
+    if (typeof tick !== 'number') return [];
+    const wallS = wallOf(event);
+    untilS = Math.max(untilS, wallS);
+    return [{ wallS, cellS: timeOf(tick), untilS }];
   });
 }
 
@@ -101,16 +112,28 @@ function wallOf(event: LogEvent): number {
   return typeof cellWall === 'number' ? cellWall : Date.parse(event.at) / 1000;
 }
 
-function interpolate(anchors: readonly { wallS: number; cellS: number }[], wallS: number): number | null {
+function interpolate(anchors: readonly Anchor[], wallS: number): number | null {
   const first = anchors[0];
   const last = anchors.at(-1);
   if (first === undefined || last === undefined) return null;
   if (wallS <= first.wallS) return first.cellS - (first.wallS - wallS);
   if (wallS >= last.wallS) return last.cellS + (wallS - last.wallS);
-  const after = anchors.findIndex((anchor) => anchor.wallS >= wallS);
+  const after = firstBy(anchors, ({ untilS }) => untilS >= wallS);
   const [a, b] = [anchors[after - 1] ?? first, anchors[after] ?? last];
   const share = b.wallS === a.wallS ? 1 : (wallS - a.wallS) / (b.wallS - a.wallS);
   return a.cellS + share * (b.cellS - a.cellS);
+}
+
+/** Where the first of those in order is that are past something; behind the last where none is. */
+function firstBy<T>(ordered: readonly T[], past: (item: T) => boolean): number {
+  let [low, high] = [0, ordered.length];
+  while (low < high) {
+    const middle = (low + high) >> 1;
+    const item = ordered[middle];
+    if (item !== undefined && past(item)) high = middle;
+    else low = middle + 1;
+  }
+  return low;
 }
 
 /** The newest row at or before a moment, s on the session's clock; the first one before all. -1 without rows. */
@@ -143,12 +166,7 @@ export function measuredAt(telemetry: Telemetry | null, row: number, zeroS: numb
 
 /** The last event at or before a moment; -1 before the first. */
 export function eventAt(placed: readonly Placed[], atS: number): number {
-  let found = -1;
-  for (const [k, item] of placed.entries()) {
-    if (item.atS <= atS + 1e-6) found = k;
-    else break;
-  }
-  return found;
+  return firstBy(placed, (item) => item.atS > atS + 1e-6) - 1;
 }
 
 /** Where a step goes: to the next or the last moment that something happened, and at the ends, to the end. */
