@@ -196,6 +196,44 @@ def test_a_reason_that_is_higher_than_the_room_above_the_stop_is_read_to_its_end
     assert floor.settled(asked["id"])["status"] == "running"
 
 
+ACROSS = """() => { const seen = visualViewport, bar = document.querySelector('footer').getBoundingClientRect();
+    return [...document.querySelectorAll('article tbody tr, article .body li')].map((line) => {
+        const {left, right, top, bottom} = line.getBoundingClientRect();
+        const over = Math.min(seen.offsetTop + seen.height, bar.top);
+        if (top < seen.offsetTop - 1 || bottom > over + 1) return [0, 0];
+        const until = Math.min(right, seen.offsetLeft + seen.width);
+        return [Math.max(left, seen.offsetLeft) - left, until - left].map((px) => px / (right - left)); }); }"""
+
+
+def test_of_a_page_that_fingers_magnify_all_was_on_the_screen_before_a_finger_approves(
+    server: ServerProcess, people: People, floor: Floor
+) -> None:
+    person = people.sit(server, size=PHONE)
+    fingers = person.page.context.new_cdp_session(person.page)
+    fingers.send("Emulation.setPageScaleFactor", {"pageScaleFactor": 2.5})
+    person.page.evaluate(THREE_FRAMES)
+    try:
+        floor.ask()
+        approve, read = person.button(re.compile("^Approve")), person.button("Read it first")
+        expect(person.button(re.compile("^Deny"))).to_be_enabled()
+        ends: dict[int, float] = {}
+
+        def readies() -> bool:
+            read.evaluate_all(PRESS_ALL)
+            person.page.wait_for_timeout(450)
+            for line, (begin, end) in enumerate(person.page.evaluate(ACROSS)):
+                if begin <= ends.setdefault(line, 0) + 0.01:
+                    ends[line] = max(ends[line], end)
+            return approve.count() == 1
+
+        until(readies, what="an answer that can be given")
+        assert len(ends) > 3
+        assert {line: end for line, end in ends.items() if end < 0.98} == {}
+    finally:
+        fingers.send("Emulation.setPageScaleFactor", {"pageScaleFactor": 1})
+        fingers.detach()
+
+
 @pytest.mark.parametrize("opened", ["Menu", "Keys"])
 def test_no_finger_approves_what_lies_behind_the_menu_or_the_list_of_keys(
     server: ServerProcess, people: People, floor: Floor, opened: str
@@ -252,6 +290,36 @@ def test_what_somebody_changes_again_is_read_again_before_a_finger_approves_it(
     approve.tap()
     floor.settled(asked["id"])
     assert server.get(f"/v1/invocations/{asked['id']}")["effective"]["speed_mps"] == 0.25
+
+
+HIDE = """(so) => { Object.defineProperty(document, 'visibilityState', {get: () => so, configurable: true});
+    document.dispatchEvent(new Event('visibilitychange')); }"""
+
+
+def test_what_is_changed_while_the_phone_is_in_a_pocket_is_read_again(
+    server: ServerProcess, people: People, floor: Floor
+) -> None:
+    server.tokens["operator_3"] = issue_token(server.data, name="operator_3", role=Role.OPERATOR, station=None)
+    asked = floor.ask("driver_1")
+    path = f"/v1/escalations/{asked['escalation']['id']}"
+
+    def changed(speed_mps: float) -> int:
+        answer = {"decision": "approve", "digest": server.get(path)["digest"], "params": {"speed_mps": speed_mps}}
+        return server.post(f"{path}/resolve", answer, key="operator_3").status_code
+
+    until(lambda: changed(0.05) == 200, what="a third operator")  # whose token has come
+    person = people.sit(server, size={"width": 390, "height": 1200})  # all of it is on the screen
+    approve, read = person.button(re.compile("^Approve")), person.button("Read it first")
+    expect(approve).to_be_enabled()
+    person.page.evaluate(HIDE, "hidden")
+    answer = {"decision": "approve", "digest": server.get(path)["digest"], "params": {"speed_mps": 0.25}}
+    assert server.post(f"{path}/resolve", answer, key="operator_2").is_success
+    expect(person.page.get_by_role("article").get_by_role("alert")).to_contain_text("Read it again")
+    person.page.wait_for_timeout(1_000)
+    expect(read).to_be_visible()
+    expect(approve).to_have_count(0)
+    person.page.evaluate(HIDE, "visible")
+    expect(approve).to_be_enabled()
 
 
 def test_what_a_profile_changes_is_read_from_its_top_with_the_answers_in_sight(

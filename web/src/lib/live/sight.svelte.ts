@@ -1,4 +1,5 @@
 import { untrack } from 'svelte';
+import { Across, bringInto, common, heedScreen, isShown, magnifiedTo } from './magnified';
 
 /** Parts are lines: one is read where all of it is on the screen; of one that is higher than what is left for it there, this share of that. */
 const OF_ROOM = 0.5;
@@ -37,6 +38,9 @@ export class Sight {
   private parts = $state.raw<readonly Part[]>([]);
   private covered = $state(false);
   private readonly reading = new WeakMap<Element, ReturnType<typeof setTimeout>>();
+  /** Where the page is magnified, a line is read from side to side. */
+  private across = new WeakMap<Element, Across>();
+  private readonly all = new WeakMap<Element, () => boolean>();
 
   get read(): boolean {
     return !this.covered && this.parts.every((part) => part.seen) && this.parts.some((part) => part.here);
@@ -50,14 +54,15 @@ export class Sight {
   /** Something lies over the page from now on, or does not any more: what is behind it is read by nobody. */
   cover(so: boolean): void {
     this.covered = so;
-    for (const { element, here } of this.parts) this.note(element, here);
+    for (const { element, here } of this.parts) this.note(element, here, this.all.get(element));
   }
 
   /** Other words and values stand there from now on: what was read is to be read again. */
   anew(): void {
+    this.across = new WeakMap();
     for (const { element, here } of this.parts) {
       this.put(element, { seen: false });
-      if (here) this.note(element, true);
+      if (here) this.note(element, true, this.all.get(element));
     }
   }
 
@@ -66,22 +71,54 @@ export class Sight {
     untrack(() => (this.parts = [...this.parts, { element, here: false, seen: false }])); // to watch is not to look
     const seen = new IntersectionObserver((entries) => {
       const entry = entries.at(-1);
-      if (entry === undefined) return;
-      const { boundingClientRect: whole, intersectionRect: shown } = entry;
-      this.note(element, inSight(entry.isIntersecting, whole.height, shown.height, roomOf(element)));
+      if (entry !== undefined) this.look(element, entry);
     }, { threshold: SHARES });
     seen.observe(element);
+    // By itself it speaks of where the page is laid out: that is the same where fingers magnify it, or nobody sees it.
+    const deaf = heedScreen(() => {
+      seen.unobserve(element);
+      seen.observe(element);
+    });
     return () => {
+      deaf();
       seen.disconnect();
       clearTimeout(this.reading.get(element));
       this.parts = this.parts.filter((part) => part.element !== element);
     };
   }
 
-  /** Notes whether enough of a part is on the screen. */
-  note(element: Element, here: boolean): void {
+  private look(element: Element, { isIntersecting, boundingClientRect: whole, intersectionRect }: IntersectionObserverEntry): void {
+    const screen = magnifiedTo();
+    const shown = screen === null ? intersectionRect : common(intersectionRect, screen);
+    const room = screen === null ? roomOf(element) : Math.min(roomOf(element), screen.bottom - screen.top);
+    const here = isIntersecting && shown.right > shown.left && inSight(true, whole.height, shown.bottom - shown.top, room);
+    const side = screen === null ? [0, whole.width] as const : [shown.left - whole.left, shown.right - whole.left] as const;
+    this.note(element, here, () => this.readOf(element, whole.width, side));
+  }
+
+  /** Notes the stretch of a line that was read; returns whether that is all of it by now. */
+  private readOf(element: Element, widthPx: number, side: readonly [number, number]): boolean {
+    const across = this.across.get(element) ?? new Across();
+    this.across.set(element, across);
+    across.read(...side);
+    return across.endPx >= widthPx - ROUNDED_PX;
+  }
+
+  /** Leads to what was not read: all of it where it fits on the screen, or else its beginning; to a line whole behind the end of it. Returns whether there is any. */
+  lead(): boolean {
+    const room = magnifiedTo();
+    const { unread } = this;
+    const [first] = unread;
+    if (room !== null && first !== undefined) bringInto(room, first, this.across.get(first)?.endPx ?? 0);
+    else for (const line of unread.toReversed()) line.scrollIntoView({ block: 'nearest' });
+    return first !== undefined;
+  }
+
+  /** Notes whether enough of a part is on the screen; `all` says after a while whether it was read from side to side. */
+  note(element: Element, here: boolean, all: () => boolean = () => true): void {
     clearTimeout(this.reading.get(element));
-    if (here && !this.covered) this.reading.set(element, setTimeout(() => this.put(element, { seen: true }), READ_MS));
+    this.all.set(element, all);
+    if (here && !this.covered) this.reading.set(element, setTimeout(() => isShown() && all() && this.put(element, { seen: true }), READ_MS));
     this.put(element, { here });
   }
 

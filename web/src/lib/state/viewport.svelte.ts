@@ -1,3 +1,5 @@
+import { bar as standing } from './bar';
+
 /** Whether the screen is a phone's, upright or held sideways: the stop then lies under the thumb. Styles ask the same. */
 const query = matchMedia('(max-width: 760px), (max-height: 480px) and (max-width: 1100px)');
 
@@ -20,6 +22,7 @@ export const viewport = new Viewport();
 export function keptInSight(bar: HTMLElement): (() => void) | undefined {
   const seen = window.visualViewport;
   if (seen === null) return undefined;
+  standing.on = bar;
   const gone = new AbortController();
   const stand = (): void => {
     const { offsetLeft, offsetTop, offsetWidth, offsetHeight } = bar; // where it would stand
@@ -31,5 +34,8 @@ export function keptInSight(bar: HTMLElement): (() => void) | undefined {
   seen.addEventListener('resize', stand, { signal: gone.signal });
   seen.addEventListener('scroll', stand, { signal: gone.signal });
   stand();
-  return () => gone.abort();
+  return () => {
+    gone.abort();
+    standing.on = null;
+  };
 }
