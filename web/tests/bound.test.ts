@@ -20,8 +20,27 @@ describe('what holds in one of two profiles alone', () => {
   it('are no rules that hold in both, in the same words or by the same name', () => {
     expect(between(rule('organization/x', { profiles: null }), rule('organization/y', { profiles: ['floor', 'lab'] }), rule('floor/clearance'), rule('lab/clearance', { because: 'Other words.' }), rule('yard/z'))).toEqual([]);
     expect(between(rule('floor/clearance'), rule('lab/clearance', { set: { clearance_m: { min: 0.1 } } }))).toEqual([
-      'Rule “Clearance” | Bounds: Clearance at least 0.3 m; Navigate to | Bounds: Clearance at least 0.1 m; Navigate to | different',
+      'Rule “Clearance” | Bounds: Clearance at least 0.3 m; Navigate to | Bounds: Clearance at least 0.1 m; Navigate to | looser',
     ]);
+  });
+
+  it('are rules by the same name of which one is stricter, if both are about the same', () => {
+    const way = (mine: Partial<Rule>, other: Partial<Rule>): string | undefined => between(rule('floor/x', mine), rule('lab/x', other))[0]?.split(' | ').at(-1);
+    const force = (bound: Rule['set'][string]): Partial<Rule> => ({ set: { force_n: bound } });
+    expect([way({ then: 'deny' }, { then: 'escalate' }), way({ then: 'allow' }, { then: 'modify' })]).toEqual(['looser', 'stricter']);
+    expect([way(force({ max: 60 }), force({ max: 80 })), way(force({ max: 60 }), force({ min: 1, max: 60 })), way(force({ max: 60 }), { set: {} })]).toEqual(['looser', 'stricter', 'looser']);
+    expect([way(force({ to: 1 }), force({ to: 2 })), way({ when: 'a' }, { when: 'b' }), way(force({ max: 60 }), { ...force({ max: 80 }), when: 'a' })]).toEqual(['different', 'different', 'different']);
+    expect([way({ then: 'escalate', approvers: 2 }, { then: 'escalate', approvers: 1 }), way({ then: 'deny', because: 'x' }, { then: 'deny', set: {} })]).toEqual(['looser', 'different']);
+  });
+
+  it('are rules that go by a floor that people share', () => {
+    const press = rule('organization/press-two-approvers', { profiles: null, then: 'escalate', set: {}, approvers: 2, when: 'tool.press && profile.shared_floor' });
+    const other = rule('organization/else', { profiles: null, when: '!profile.shared_floor' });
+    const either = rule('organization/either', { profiles: null, when: 'tool.press || profile.shared_floor' });
+    const rules = [press, other, either] as unknown as Record<string, unknown>[];
+    const found = (from: boolean, to: boolean): string[] => boundDifferences({ rules, profiles: { floor: { shared_floor: from }, lab: { shared_floor: to } } }, [], 'floor', 'lab').map(({ what, way }) => `${what}: ${way}`);
+    expect(found(true, false)).toEqual(['Rule “Press two approvers”: looser', 'Rule “Else”: stricter']);
+    expect([found(true, true), found(false, false)]).toEqual([[], []]);
   });
 
   it('are phases that a person confirms, and capabilities that are forbidden', () => {
@@ -50,5 +69,13 @@ describe('what holds in one of two profiles alone', () => {
     expect(found('floor', 'lab')).toEqual(['Operate tool | asks a person | asks no one by itself | looser']);
     expect(found('lab', 'floor')).toEqual(['Operate tool | asks no one by itself | asks a person | stricter']);
     expect(found('floor', 'yard')).toEqual([]);
+  });
+
+  it('are capabilities that are asked about no more by their mark, also where more is asked about by its risk', () => {
+    const profile = (...risk: string[]): Record<string, unknown> => ({ authority: { modes: ['approval-required'], approval: { risk } } });
+    const profiles = { floor: profile('high'), lab: profile('high', 'medium') };
+    const marked = ['low', 'medium', 'high'].map((risk) => ({ name: risk, risk: risk as 'low', env_profile: { floor: 'approval-required', lab: 'guarded' } }));
+    const found = (from: string, to: string): string[] => boundDifferences({ rules: [], profiles }, marked, from, to).map(({ what, way }) => `${what}: ${way}`);
+    expect([found('floor', 'lab'), found('lab', 'floor')]).toEqual([['Low: looser'], ['Low: stricter']]);
   });
 });

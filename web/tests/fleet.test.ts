@@ -136,6 +136,12 @@ describe('a change of profile', () => {
 
   it('calls nothing looser on the way back, and nothing changed to itself', () => {
     expect(differences(LOOSE, STRICT).some(({ way }) => way !== 'stricter')).toBe(false);
+    const facts = (over: ProfileFacts): ProfileFacts => ({ shared_floor: true, rollback: 'required', modes: ['normal', 'careful'], ...over });
+    const rest = (over: ProfileFacts): string[] => differences(facts({}), facts(over)).map((one) => Object.values(one).join(' | '));
+    expect(rest({ shared_floor: false, rollback: 'optional', modes: ['careful'] })).toEqual([
+      'Floor | shared with people | not shared | looser', 'Undoing what failed | required | optional | looser', 'Modes that agents may choose | careful, normal | careful | stricter',
+    ]);
+    expect(rest({ rollback: 'always', modes: ['careful', 'normal'] })).toEqual(['Undoing what failed | required | always | stricter']);
     expect(differences(STRICT, STRICT, [watching(rule({})), watching(rule({}))])).toEqual([]);
   });
 

@@ -1,10 +1,11 @@
 import type { Capability, Confirming, PolicySet } from '../api/documents';
 import { words } from '../format/capability';
+import { entryOf } from '../format/entry';
 import { plain } from '../format/plain';
 import { ruleWords } from '../format/rules';
 import { confirmRule, effectOf, type Rule } from '../policy/matrix';
-import { askingOf } from './profiles';
-import type { Difference, Way } from './ways';
+import { askingOf, type ProfileFacts } from './profiles';
+import { FEWER, MORE, together, type Difference, type Way } from './ways';
 
 type Holding = Pick<PolicySet, 'rules' | 'authority' | 'profiles'>;
 const NONE = 'no such rule';
@@ -13,14 +14,14 @@ const UNCONFIRMED = 'nobody confirms a phase';
 const FORBIDDEN = 'forbidden';
 const ASKS = 'approval-required';
 
-type Marked = Pick<Capability, 'name' | 'env_profile' | 'recovery'>;
+type Marked = Pick<Capability, 'name' | 'env_profile' | 'recovery'> & Partial<Pick<Capability, 'risk'>>;
 
 /** What holds in one of two profiles alone: capabilities that are forbidden or ask a person there, rules that are bound to it, and phases that wait for a person. */
 export function boundDifferences(policy: Holding, capabilities: readonly Marked[], from: string, to: string): Difference[] {
   return [
     ...capabilities.flatMap((one) => ofMarks(one, from, to)),
     ...ofAsking(policy, capabilities, from, to),
-    ...ofRules(policy.rules as unknown as Rule[], from, to),
+    ...ofRules(policy, from, to),
     ...ofConfirming(policy.authority?.confirm_before ?? [], from, to),
   ];
 }
@@ -31,20 +32,27 @@ function ofMarks({ name, env_profile: marks }: Marked, from: string, to: string)
   return a === b ? [] : [{ what: words(name), from: text(a), to: text(b), way: a === true ? 'looser' : 'stricter' }];
 }
 
-/** Capabilities by whose mark a person is asked in one of two profiles alone, if these ask alike otherwise; else the way they ask says it. */
+/** Capabilities that a person is asked about in one of two profiles alone, by their mark, where both ask at all: else the way they ask says it. */
 function ofAsking({ profiles }: Holding, capabilities: readonly Marked[], from: string, to: string): Difference[] {
   const [one, other] = [from, to].map((profile) => askingOf(profiles[profile]));
-  if (one?.text !== other?.text || one?.mode.startsWith('approval') !== true) return [];
-  return capabilities.flatMap(({ name, env_profile: marks, recovery }): Difference[] => {
-    const [a = FORBIDDEN, b = FORBIDDEN] = [marks?.[from], marks?.[to]];
-    if (recovery === true || a === FORBIDDEN || b === FORBIDDEN || (a === ASKS) === (b === ASKS)) return [];
-    const text = (mark: string): string => (mark === ASKS ? 'asks a person' : 'asks no one by itself');
-    return [{ what: words(name), from: text(a), to: text(b), way: a === ASKS ? 'looser' : 'stricter' }];
+  if (one?.mode.startsWith('approval') !== true || other?.mode.startsWith('approval') !== true) return [];
+  return capabilities.flatMap((capability): Difference[] => {
+    const [mark, otherMark] = [from, to].map((profile) => capability.env_profile?.[profile] ?? FORBIDDEN);
+    if (capability.recovery === true || [mark, otherMark].includes(FORBIDDEN) || (mark === ASKS) === (otherMark === ASKS)) return [];
+    const { risk = '' } = capability;
+    const [a, b] = [mark === ASKS || one.risk.includes(risk), otherMark === ASKS || other.risk.includes(risk)];
+    return a === b ? [] : [{ what: words(capability.name), from: askedWords(a), to: askedWords(b), way: a ? 'looser' : 'stricter' }];
   });
 }
 
-function ofRules(rules: readonly Rule[], from: string, to: string): Difference[] {
-  const [mine, theirs] = [[from, to], [to, from]].map(([here, there]) => rules.filter(({ profiles }) => profiles?.includes(here ?? '') === true && !profiles.includes(there ?? '')));
+function askedWords(so: boolean): string {
+  return so ? 'asks a person' : 'asks no one by itself';
+}
+
+function ofRules({ rules, profiles }: Holding, from: string, to: string): Difference[] {
+  const all = rules as unknown as Rule[];
+  const holds = (rule: Rule, profile: string): boolean => (rule.profiles?.includes(profile) ?? true) && mayHold(rule.when, profiles[profile]);
+  const [mine, theirs] = ([[from, to], [to, from]] as const).map(([here, there]) => all.filter((rule) => holds(rule, here) && !holds(rule, there)));
   const rest = new Set(theirs);
   const pairs = (mine ?? []).map((rule): [Rule | undefined, Rule | undefined] => {
     const other = [...rest].find(({ id }) => nameOf(id) === nameOf(rule.id));
@@ -52,6 +60,13 @@ function ofRules(rules: readonly Rule[], from: string, to: string): Difference[]
     return [rule, other];
   });
   return [...pairs, ...[...rest].map((rule): [undefined, Rule] => [undefined, rule])].flatMap(([a, b]) => ofRule(a, b));
+}
+
+/** Whether a condition may hold under a profile, as far as its parts say whether the floor is shared: of others that is not known. */
+function mayHold(when: string | null, facts: ProfileFacts | undefined): boolean {
+  if (when === null || facts?.shared_floor === undefined || when.includes('||') || when.includes('?')) return true;
+  const parts = when.split('&&').map((part) => part.trim());
+  return !parts.includes(facts.shared_floor ? '!profile.shared_floor' : 'profile.shared_floor');
 }
 
 function nameOf(id: string): string {
@@ -68,10 +83,33 @@ function contentOf({ applies_to: scope, when, then, set, approvers }: Rule): str
   return JSON.stringify([scope, when, then, set, approvers ?? null]);
 }
 
+const STRENGTH: readonly string[] = ['allow', 'modify', 'escalate', 'deny'];
+
 /** A rule that allows is the only one that a profile is stricter without. */
 function wayOf(a: Rule | undefined, b: Rule | undefined): Way {
-  if (a !== undefined && b !== undefined) return 'different';
+  if (a !== undefined && b !== undefined) return betweenTwo(a, b);
   return (a ?? b)?.then === 'allow' ? (a === undefined ? 'looser' : 'stricter') : a === undefined ? 'stricter' : 'looser';
+}
+
+/** Of two that go by the same name: which is the stricter one is known only where they are about the same. */
+function betweenTwo(a: Rule, b: Rule): Way {
+  if (JSON.stringify([a.applies_to, a.when]) !== JSON.stringify([b.applies_to, b.when])) return 'different';
+  if (a.then !== b.then) return FEWER(STRENGTH.indexOf(a.then), STRENGTH.indexOf(b.then));
+  if (a.then === 'escalate' && a.approvers != null && b.approvers != null) return FEWER(a.approvers, b.approvers);
+  return a.then === 'modify' ? together(ofBounds(a.set, b.set)) : 'different';
+}
+
+function ofBounds(a: Rule['set'], b: Rule['set']): Way[] {
+  return [...new Set([...Object.keys(a), ...Object.keys(b)])].flatMap((name): Way[] => {
+    const [one, other] = [entryOf(a, name), entryOf(b, name)];
+    if (one === undefined || other === undefined) return [one === undefined ? 'stricter' : 'looser'];
+    if (one.to !== other.to) return ['different'];
+    return [...ofBound(one.max, other.max, Infinity, MORE), ...ofBound(one.min, other.min, -Infinity, FEWER)];
+  });
+}
+
+function ofBound(a: number | undefined, b: number | undefined, none: number, way: typeof MORE): Way[] {
+  return a === b ? [] : [way(a ?? none, b ?? none)];
 }
 
 /** `Bounds: Clearance at least 0.3 m, in carry, drive; always`. */

@@ -7,6 +7,10 @@ import { FEWER, MORE, ofNumbers, type Difference, type Way } from './ways';
 export interface ProfileFacts {
   sensitivity?: number;
   retry_budget?: number;
+  /** Whether people and robot are on one floor: rules may go by it. */
+  shared_floor?: boolean;
+  rollback?: string;
+  modes?: string[];
   limits?: Record<string, { max?: number; min?: number }>;
   authority?: { modes?: string[]; approval?: { risk: string[]; approvers?: Record<string, number> } | null; review?: { risk: string[]; outcomes: string[] } | null };
   [key: string]: unknown;
@@ -29,8 +33,11 @@ export function differences(from: ProfileFacts | undefined, to: ProfileFacts | u
     ...ofAsking(from, to),
     ...ofApprovers(from, to),
     ...ofModes(from, to),
+    ...ofFloor(from, to),
     ...LOOK.flatMap((name) => ofLimit(name, from, to)),
     ...ofNumber('Retries, at most', from.retry_budget, to.retry_budget, MORE),
+    ...ofUndoing(from, to),
+    ...ofAdmitted(from, to),
     ...ofNumber('Watcher sensitivity', from.sensitivity, to.sensitivity, FEWER),
     ...(watching === undefined ? [] : watchDifferences(...watching)),
     ...ofReview(from, to),
@@ -80,6 +87,24 @@ function ofModes(from: ProfileFacts, to: ProfileFacts): Difference[] {
     const [a, b] = [has(from, mode), has(to, mode)];
     return a === b ? [] : [{ what, from: text(a), to: text(b), way: a ? lost : gained }];
   });
+}
+
+/** Of what is undone behind a failure, from the least to the most; `required` is of what grasps and moves things. */
+const UNDOES: readonly string[] = ['optional', 'required', 'always'];
+
+function ofUndoing({ rollback: a }: ProfileFacts, { rollback: b }: ProfileFacts): Difference[] {
+  if (a === undefined || b === undefined || a === b) return [];
+  return [{ what: 'Undoing what failed', from: a, to: b, way: UNDOES.indexOf(b) < UNDOES.indexOf(a) ? 'looser' : 'stricter' }];
+}
+
+function ofFloor({ shared_floor: a }: ProfileFacts, { shared_floor: b }: ProfileFacts): Difference[] {
+  const text = (shared: boolean): string => (shared ? 'shared with people' : 'not shared');
+  return a === undefined || b === undefined || a === b ? [] : [{ what: 'Floor', from: text(a), to: text(b), way: a ? 'looser' : 'stricter' }];
+}
+
+function ofAdmitted({ modes: a = [] }: ProfileFacts, { modes: b = [] }: ProfileFacts): Difference[] {
+  const text = (modes: readonly string[]): string => [...modes].sort().join(', ');
+  return text(a) === text(b) ? [] : [{ what: 'Modes that agents may choose', from: text(a), to: text(b), way: lacks(a, b) ? 'looser' : 'stricter' }];
 }
 
 function ofReview(from: ProfileFacts, to: ProfileFacts): Difference[] {
