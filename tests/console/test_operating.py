@@ -376,6 +376,26 @@ def test_a_profile_is_chosen_by_arrow_keys_compared_anew_when_another_changes_it
         put_under(server, before)
 
 
+def test_a_cell_says_that_its_profile_is_gone_with_the_policy_that_had_it(
+    server: ServerProcess, people: People, floor: Floor
+) -> None:
+    person, before = people.sit(server), server.cell()["profile"]
+    policy = server.get("/v1/policies/active")
+    del policy["profiles"][before]
+    person.page.route("**/v1/policies/active", lambda route: route.fulfill(json=policy))
+    person.page.reload()
+    person.page.evaluate("location.hash = '#/fleet'")
+    card = person.region("workcell-1")
+    choice = card.get_by_label("Profile", exact=True)
+    expect(choice.locator("option:checked")).to_have_text(f"{before} (gone)")
+    expect(choice).to_have_accessible_description(re.compile(f"The policy in force has no {before}"))
+    choice.select_option("real-restricted")
+    card.get_by_role("button", name="Change…").click()
+    expect(card.get_by_text(f"no {before} to compare it with")).to_be_visible()
+    card.get_by_role("button", name=f"Keep {before}").click()
+    expect(choice).to_have_value(before)
+
+
 def test_what_was_compared_by_a_policy_that_is_not_in_force_any_more_is_compared_anew(
     server: ServerProcess, people: People, floor: Floor
 ) -> None:
