@@ -56,19 +56,22 @@ export function magnifiedTo(): Box | null {
 export function bringInto(room: Box, line: Element, fromPx: number): void {
   const page = line.closest('main');
   if (page === null) return;
-  const [its, around, whole] = [line.getBoundingClientRect(), page.getBoundingClientRect(), window.visualViewport];
+  const [its, around] = [line.getBoundingClientRect(), page.getBoundingClientRect()];
+  const [wide, high] = [Math.min(room.right - room.left, around.width), Math.min(room.bottom - room.top, around.height)];
+  const [width, height] = [Math.min(its.width - fromPx, wide - 2 * SPARE_PX), Math.min(its.height, high)];
+  const spare = Math.min(SPARE_PX, (high - height) / 2);
+  const { offsetLeft, offsetTop, width: shownPx, height: lowPx } = window.visualViewport ?? { offsetLeft: 0, offsetTop: 0, width: wide, height: high };
+  // What the bar lies over is no room; where the page ends above it anyway, nothing is.
+  const [aside, below] = [Math.min(offsetLeft + shownPx, around.right) - room.right, Math.min(offsetTop + lowPx, around.bottom) - room.bottom];
   const part = document.createElement('i');
   const px = (value: number): string => `${value}px`;
   Object.assign(part.style, {
     position: 'absolute',
     left: px(its.left + fromPx - around.left + page.scrollLeft),
     top: px(its.top - around.top + page.scrollTop),
-    width: px(Math.min(its.width - fromPx, room.right - room.left - 2 * SPARE_PX)),
-    height: px(Math.min(its.height, room.bottom - room.top - 2 * SPARE_PX)),
-    scrollMarginTop: px(SPARE_PX),
-    scrollMarginLeft: px(SPARE_PX),
-    scrollMarginRight: px(whole === null ? 0 : whole.offsetLeft + whole.width - room.right + SPARE_PX),
-    scrollMarginBottom: px(whole === null ? 0 : whole.offsetTop + whole.height - room.bottom + SPARE_PX),
+    width: px(width),
+    height: px(height),
+    scrollMargin: `${px(spare)} ${px(Math.max(0, aside) + SPARE_PX)} ${px(Math.max(0, below) + spare)} ${px(SPARE_PX)}`,
   });
   page.append(part);
   part.scrollIntoView({ block: 'nearest', inline: 'nearest' });
