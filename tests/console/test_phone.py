@@ -196,6 +196,26 @@ def test_a_reason_that_is_higher_than_the_room_above_the_stop_is_read_to_its_end
     assert floor.settled(asked["id"])["status"] == "running"
 
 
+def test_a_value_that_just_fits_above_the_stop_can_be_read(server: ServerProcess, people: People, floor: Floor) -> None:
+    floor.ask()
+    person = people.sit(server, size=PHONE)
+    approve, read = person.button(re.compile("^Approve")), person.button("Read it first")
+    expect(person.button(re.compile("^Deny"))).to_be_enabled()
+    # As where letters are large and spaced out on a small screen: all of it fits, with no room around it.
+    person.page.evaluate(
+        """() => { const large = new CSSStyleSheet(), high = document.querySelector('#page').clientHeight - 3;
+        large.replaceSync(`article tbody tr { height: ${high}px }`);
+        document.adoptedStyleSheets = [...document.adoptedStyleSheets, large]; }"""
+    )
+
+    def readies() -> bool:
+        read.evaluate_all(PRESS_ALL)
+        person.page.wait_for_timeout(400)
+        return approve.count() == 1
+
+    until(readies, within_s=60, what="an answer that can be given")
+
+
 ACROSS = """() => { const seen = visualViewport, bar = document.querySelector('footer').getBoundingClientRect();
     return [...document.querySelectorAll('article tbody tr, article .body li')].map((line) => {
         const {left, right, top, bottom} = line.getBoundingClientRect();

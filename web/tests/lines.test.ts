@@ -33,7 +33,7 @@ describe('a trace in words', () => {
     const lines = linesOf(events, KNOWN);
     const timeline = timelineOf(events, null);
     for (let k = 0; k < MANY; k += 1) eventAt(timeline.placed, timeline.toS);
-    expect(performance.now() - beganMs).toBeLessThan(4_000); // it was half a minute
+    expect(performance.now() - beganMs).toBeLessThan(4_000);
     expect(marksOf(timeline, lines).length).toBeLessThan(1_600);
   });
 });

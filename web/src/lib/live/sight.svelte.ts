@@ -24,13 +24,26 @@ export function inSight(meets: boolean, wholePx: number, shownPx: number, roomPx
   return meets && shownPx >= (wholePx > roomPx ? OF_ROOM * roomPx : wholePx - ROUNDED_PX);
 }
 
-/** How much of an element can be on the screen at once, px: what it is scrolled in is lower than that, by the bar with the stop. */
+/** Of a length as it was worked out; of a word, as `auto`, none. */
+const px = (length: string): number => Number.parseFloat(length) || 0;
+
+/** How much of an element can be on the screen at once, px: what it is scrolled in is lower than that, by the bar with the stop and by what stays above. */
 function roomOf(element: Element): number {
   let room = window.innerHeight;
   for (let around = element.parentElement; around !== null; around = around.parentElement) {
-    if (/auto|scroll/.test(getComputedStyle(around).overflowY)) room = Math.min(room, around.clientHeight);
+    const { overflowY, scrollPaddingTop, scrollPaddingBottom } = getComputedStyle(around);
+    if (/auto|scroll/.test(overflowY)) room = Math.min(room, around.clientHeight - px(scrollPaddingTop) - px(scrollPaddingBottom));
   }
   return room;
+}
+
+/** Scrolls to a line, to its edges where there is no room around it: else a part of it would stay out of sight for good. */
+function scrollTo(line: Element): void {
+  const { scrollMarginTop, scrollMarginBottom } = getComputedStyle(line);
+  const tight = line instanceof HTMLElement && line.offsetHeight + px(scrollMarginTop) + px(scrollMarginBottom) > roomOf(line);
+  if (tight) line.style.scrollMargin = '0';
+  line.scrollIntoView({ block: 'nearest' });
+  if (tight) line.style.removeProperty('scroll-margin');
 }
 
 /** Whether what is asked could be read where it stands: all its parts were on the screen for a while, and one of them still is. */
@@ -110,7 +123,7 @@ export class Sight {
     const { unread } = this;
     const [first] = unread;
     if (room !== null && first !== undefined) bringInto(room, first, this.across.get(first)?.endPx ?? 0);
-    else for (const line of unread.toReversed()) line.scrollIntoView({ block: 'nearest' });
+    else unread.toReversed().forEach(scrollTo);
     return first !== undefined;
   }
 
