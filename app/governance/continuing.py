@@ -26,7 +26,7 @@ from app.governance.authority import need
 from app.governance.coverage import acting_for, recoveries
 from app.governance.guard import check
 from app.governance.model import Admission, AdmissionOutcome, PolicyOutcome, Reason, Strategy
-from app.governance.places import places
+from app.governance.places import barriers, places
 from app.governance.plans import confirm_before, recovery_plan, watch_plan
 from app.governance.policy_model import GOVERNANCE
 from app.governance.recovery import DEFAULT_BUDGET
@@ -157,14 +157,20 @@ def _held(verdict: Verdict, said: Verdict, taken: Proposal) -> tuple[Reason, ...
 def _moved(old: PolicySet, new: PolicySet, proposal: Proposal, context: Context) -> tuple[Reason, ...]:
     """Return which places that what runs names are others by now: it works where the old site has them.
 
-    What has no place any more admission says; where an object is, sensors do.
+    What drives also keeps clear of what the old site has in its way. What has no place any more admission says; where
+    an object is, sensors do.
     """
     gate, found = old.gates.get((proposal.capability, context.profile)), list[Reason]()
-    for param, kind, _ in () if gate is None else gate.known:
+    known = () if gate is None else gate.known
+    for param, kind, _ in known:
         name = str(proposal.params.get(param))
         was, now = (places(policy.site).get(kind, {}).get(name) for policy in (old, new))
         if now is not None and now != was:
             found.append(_news("place_changed", f"the {kind} `{name}` is another place in the site now"))
+    if any(kind == "target" for _, kind, _ in known):
+        was, now = barriers(old.site), barriers(new.site)
+        others = [name for name, place in now.items() if was.get(name) != place]
+        found += [_news("place_changed", f"`{name}`, of which it keeps clear, is elsewhere now") for name in others]
     return tuple(found)
 
 

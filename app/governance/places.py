@@ -6,18 +6,22 @@ edge of a forbidden zone is forbidden, one on the edge of the site or of a surfa
 
 from __future__ import annotations
 
+from dataclasses import replace
 from math import cos, sin, sqrt
-from typing import TYPE_CHECKING, Final, NamedTuple, TypeAlias, cast
+from typing import TYPE_CHECKING, Final, NamedTuple, TypeAlias, TypeVar, cast
 
-from app.governance.model import SiteObject
+from app.governance.model import Area, SiteObject, Surface, Tool
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
-    from app.governance.model import Params, Point, Site, Surface, WorldFacts
+    from app.governance.model import Params, Point, Site, WorldFacts
 
 Locate: TypeAlias = "Callable[[Params, WorldFacts | None], Place]"
 Find: TypeAlias = "Callable[[Params, WorldFacts | None], SiteObject]"
+
+
+_Led = TypeVar("_Led", Surface, Area, Tool)
 
 
 class Place(NamedTuple):
@@ -146,11 +150,25 @@ def places(site: Site) -> Mapping[str, Mapping[str, object]]:
     """Return where everything is that a parameter may name, by kind; where an object is, sensors say."""
     return {
         "target": {name: (found.x_m, found.y_m, found.yaw_rad) for name, found in site.targets.items()},
-        "surface": site.surfaces,
-        "area": site.areas,
+        "surface": _unled(site.surfaces),
+        "area": _unled(site.areas),
         "corridor": site.corridors,
-        "tool": site.tools,
+        "tool": _unled(site.tools),
     }
+
+
+def barriers(site: Site) -> Mapping[str, object]:
+    """Return what every drive keeps clear of, wherever it leads: furniture and restricted zones, and the site's bounds.
+
+    What is forbidden is not among it: that binds what stands still as well.
+    """
+    zones = {name: zone.polygon for name, zone in site.zones.items() if zone.kind == "restricted"}
+    return {"bounds_m": site.bounds_m, **_unled(site.surfaces), **_unled(site.tools), **zones}
+
+
+def _unled(found: Mapping[str, _Led]) -> dict[str, _Led]:
+    """Return things as they stand, whatever leads to them: another name of that moves nothing."""
+    return {name: replace(thing, target="") for name, thing in found.items()}
 
 
 def kinds(site: Site) -> Mapping[str, frozenset[str]]:

@@ -143,6 +143,40 @@ def test_departs_when_where_it_works_is_another_place_by_now(
     assert f"`{part}`" in next(why.message for why in found.reasons if why.code == "place_changed")
 
 
+WET = "zones:\n", "zones:\n  wet: {kind: restricted, polygon: [[1.0, 1.5], [4.0, 1.5], [4.0, 2.5], [1.0, 2.5]]}\n"
+
+
+@pytest.mark.parametrize(
+    ("what", "before", "after"),
+    [
+        ("bench_b", "bench_b: {x_m: 5.2, y_m: 5.4", "bench_b: {x_m: 5.2, y_m: 5.0"),
+        ("lever", "lever, x_m: 3.15", "lever, x_m: 3.2"),
+        ("wet", *WET),
+        ("bounds_m", "bounds_m: [0.0, 0.0, 8.0", "bounds_m: [0.0, 0.0, 7.9"),
+    ],
+    ids=["furniture", "tool", "zone", "walls"],
+)
+def test_what_drives_departs_when_something_is_in_its_way_by_now_and_what_stands_still_does_not(
+    what: str, before: str, after: str
+) -> None:
+    other = edited(("site.yaml", before, after))
+    drive = shipped().validate_params("navigate_to", {"target": "dock", "clearance_m": 0.3})
+    assert not isinstance(drive, tuple)
+    found = between(shipped(), other, Proposal(capability="navigate_to", params=drive))
+    assert what in {why.message.split("`")[1] for why in found.reasons if why.code == "place_changed"}
+    assert not found.askable
+    assert "place_changed" not in codes(between(shipped(), other))
+
+
+def test_another_name_of_the_stand_at_a_place_moves_nothing() -> None:
+    renamed = files()
+    renamed["site.yaml"] = renamed["site.yaml"].replace("bench_a_stand", "bench_a_front")
+    place = shipped().validate_params("place_object", {"surface": "bench_a"})
+    assert not isinstance(place, tuple)
+    found = between(shipped(), bundle.load_files(renamed), Proposal(capability="place_object", params=place))
+    assert "place_changed" not in codes(found)
+
+
 def test_goes_on_where_other_places_than_its_own_have_changed() -> None:
     other = edited(
         ("site.yaml", "dock: {x_m: 0.8", "dock: {x_m: 1.0"),
