@@ -32,6 +32,7 @@ from app.governance.bundle_checks import Known
 from app.governance.bundle_fit import fit
 from app.governance.bundle_yaml import Reader, parse, turned
 from app.governance.conditions import TESTS
+from app.governance.control import TAKEOVER
 from app.governance.errors import ExpressionError, PolicyError, PolicyErrors
 from app.governance.fitting import validator
 from app.governance.places import names
@@ -237,7 +238,7 @@ def _known_of(source: Source) -> Known:
     known = Names(capabilities=unread.union(capabilities), profiles=profiles, permissions=permissions, site=site)
     return Known(
         capabilities=capabilities,
-        recoveries=frozenset(name for name, found in capabilities.items() if found.recovery) | unread,
+        recoveries=unread.union(name for name, found in capabilities.items() if found.recovery) - {TAKEOVER},
         profiles=profiles,
         permissions=permissions,
         vocabulary=Vocabulary(capabilities, known),

@@ -45,6 +45,7 @@ class Known:
     """Every name there is, so that references can be checked.
 
     `unread` are capabilities whose manifests could not be read: they may be named, and nothing else is known of them.
+    `takeover` is none of `recoveries`: it does nothing unless a human drives, so nothing is undone or mended by it.
     """
 
     capabilities: Mapping[str, Capability]

@@ -115,7 +115,11 @@ BROKEN = [
     ("unknown permission", GRASP, "[manipulation]", "[juggling]", "permission `juggling`"),
     ("unknown rollback", GRASP, "rollback: release_and_retract", "rollback: none",
      "there is no recovery capability `none`; valid: `regrasp`, `release_and_retract`, `reposition_base`, `retrace`, "
-     "`safe_retreat`, `takeover`, `null: it has none`"),
+     "`safe_retreat`, `null: it has none`"),
+    ("a rollback that waits for a hand", GRASP, "rollback: release_and_retract", "rollback: takeover",
+     "there is no recovery capability `takeover`; valid: `regrasp`"),
+    ("a recovery that waits for a hand", HUMAN, "capability: reposition_base", "capability: takeover",
+     "there is no recovery capability `takeover`; valid: `regrasp`"),
     ("uncovered profile", GRASP, "sim-relaxed: allowed, ", "", "`sim-relaxed` is not covered"),
     ("unknown profile", GRASP, "sim-relaxed: allowed", "sim-relaxed: allowed, moon: allowed", "profile `moon`"),
     ("no rollback where required", GRASP, "rollback: release_and_retract", "rollback: null", "rollback is required"),
