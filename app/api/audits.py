@@ -141,7 +141,7 @@ async def telemetry(request: Request, id: Identifier, query: Annotated[Telemetry
         detail = f"the telemetry of `{id}` is not what was recorded: {error.problem}"
         raise Problem("telemetry_damaged", detail) from error
     if found is None:
-        raise _no_file(event)
+        raise _no_file(event, query.part, count)
     document = asdict(found)
     start_at = rfc3339(document.pop("start_s"))
     return answer({"invocation": id, "part": query.part, "parts": count, "start_at": start_at, **document})
@@ -149,10 +149,10 @@ async def telemetry(request: Request, id: Identifier, query: Annotated[Telemetry
 
 async def telemetry_mcap(request: Request, id: Identifier, query: Annotated[PartQuery, Query()]) -> Response:
     """Return a session's telemetry file as it lies on the disk: MCAP, which Foxglove opens."""
-    event, _ = await _telemetry_event(request, id, query.part)
+    event, count = await _telemetry_event(request, id, query.part)
     path = telemetry_file(parts_of(request).store.places.telemetry, event)
     if path is None:
-        raise _no_file(event)
+        raise _no_file(event, query.part, count)
     return WholeFile(path, media_type=MCAP, filename=path.name, headers={"Accept-Ranges": "none"})
 
 
@@ -181,11 +181,15 @@ async def _telemetry_event(request: Request, invocation: str, part: int) -> tupl
     return found[part - 1], len(found)
 
 
-def _no_file(event: Event) -> Problem:
-    """Return why there is no file where the record tells of telemetry: it was not kept, or is there no more."""
+def _no_file(event: Event, part: int, count: int) -> Problem:
+    """Return why there is no file where the record tells of telemetry: it was not kept, or is there no more.
+
+    One part that is not there bars the way to no other, so each of several is told which one it is.
+    """
     failed = event.payload().get("failed")
     why = "its file is not where it was kept" if failed is None else f"it was not kept: {failed}"
-    return Problem("telemetry_unknown", f"there is no such telemetry of `{event.invocation}`: {why}")
+    which = "" if count == 1 else f" (its part `{part}` of `{count}`)"
+    return Problem("telemetry_unknown", f"there is no such telemetry of `{event.invocation}`{which}: {why}")
 
 
 async def stream(request: Request, query: Annotated[StreamQuery, Query()]) -> Response:

@@ -431,6 +431,19 @@ async def test_where_telemetry_was_not_kept_it_says_why_as_the_record_does(house
         assert (answer.status_code, answer.json()["code"]) == (404, "telemetry_unknown")
         assert "not kept: no room on the disk" in answer.json()["detail"]
         assert "nothing ran" not in answer.json()["detail"]
+        assert "its part" not in answer.json()["detail"], "there is one alone"
+
+
+async def test_where_one_part_of_telemetry_was_not_kept_it_says_that_there_are_others(house: House) -> None:
+    failed = {"failed": "the server ended before it was complete"}
+    await house.runtime.store.append([EventDraft(kind="telemetry", actor="server", invocation="inv_2", body=failed)])
+    await record(house, "inv_2", 5)
+    async with house.client("auditor") as auditor:
+        answers = [await auditor.get(f"/v1/audit/telemetry/inv_2{rest}") for rest in ("", "/mcap")]
+        there = await auditor.get("/v1/audit/telemetry/inv_2?part=2")
+    for answer in answers:
+        assert (answer.status_code, "(its part `1` of `2`)" in answer.json()["detail"]) == (404, True)
+    assert there.json()["parts"] == 2
 
 
 async def test_nothing_moves_on_a_log_that_was_found_damaged(tmp_path: Path) -> None:
