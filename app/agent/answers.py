@@ -72,7 +72,8 @@ class Problem(_Interrupted):
 class NotCompleted(ReinsError):
     """A proposal that did not end in success: `invocation` is the whole document, `reasons` what to replan on.
 
-    Those by which policy merely constrained a parameter come last: they are not what it failed by.
+    Those by which policy merely constrained a parameter come last: they are not what it failed by. What a denied one
+    was deferred for stands behind what policy says of it: to mend that would not help.
     """
 
     PARTS: ClassVar[tuple[str, ...]] = ("admission", "policy", "failure")  # of the document, that say why
@@ -81,7 +82,8 @@ class NotCompleted(ReinsError):
         """Collect the reasons."""
         self.invocation = invocation
         constrained = {change.get("rule") for change in documents(document(invocation.get("policy")).get("changes"))}
-        reasons = reasons_of(invocation, self.PARTS)
+        denied = invocation.get("status") == "denied"
+        reasons = reasons_of(invocation, sorted(self.PARTS, key=lambda part: denied and part == "admission"))
         self.reasons = tuple(sorted(reasons, key=lambda reason: reason.rule in constrained))
         said = "; ".join(reason.message or reason.code for reason in self.reasons) or "no reason given"
         super().__init__(f"`{invocation.get('capability')}` {invocation.get('status')}: {said}{_again(invocation)}")

@@ -197,6 +197,16 @@ def test_what_policy_merely_constrained_comes_behind_what_a_refusal_is_for():
     assert [reason.rule for reason in caught.reasons] == ["authority/approval", "human-shared/force"]
 
 
+def test_what_a_denied_proposal_was_deferred_for_comes_behind_what_denies_it():
+    unmet = {"rule": "admission/object_visible", "code": "precondition_unmet", "message": "not in sight"}
+    hazardous = {"rule": "organization/hazardous", "code": "hazardous", "message": "it needs `hazmat`"}
+    admission = {"outcome": "defer", "reasons": [unmet], "retry_after_s": 1.0}
+    caught = Refused(invocation("denied", admission=admission, policy={"outcome": "deny", "reasons": [hazardous]}))
+    assert str(caught) == "`grasp_object` denied: it needs `hazmat`; not in sight"
+    waits = Refused(invocation("deferred", admission=admission, policy={"outcome": "allow", "reasons": [hazardous]}))
+    assert [reason.code for reason in waits.reasons] == ["precondition_unmet", "hazardous"]
+
+
 def test_without_a_failure_there_is_no_reason():
     ended = invocation("failed", outcome="terminated", policy=DENIED["policy"], failure=None)
     assert ExecutionFailed(ended).reasons == ()
