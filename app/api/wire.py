@@ -78,7 +78,11 @@ class ProposalBody(Body):
         description="Parameters as the capability's input schema names them; defaults are filled in.",
         examples=[{"object_id": "mug_1", "force_n": 80, "speed_mps": 0.5}],
     )
-    cell: Name | None = Field(default=None, description="The cell it is meant for; may be left out where there is one.")
+    cell: Name | None = Field(
+        default=None,
+        description="The cell it is meant for. Of several, one that is free where none is named: name it in every step "
+        "of what takes more than one.",
+    )
     mode: Literal["normal", "careful"] | None = Field(
         default=None, description="How carefully to move; normal unless said."
     )
