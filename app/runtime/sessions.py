@@ -76,6 +76,7 @@ REPORTABLE: Final = frozenset({
     EventKind.ESCALATION, EventKind.OUTCOME, EventKind.CELL,
 })  # fmt: skip
 SERVERS_WORDS: Final = frozenset({*TABLES, WITHDRAWN})
+CODES: Final = frozenset({"op", "what", "reason", "refused", "permit", "failure", "code"})  # what follows goes by these
 
 
 class Sessions:
@@ -99,13 +100,16 @@ class Sessions:
         """Refuse a report this cell may not make.
 
         Raises:
-            ProtocolError: a kind or a word that only the server says, a status or outcome that is none, or an
-                invocation that is live on another cell.
+            ProtocolError: a kind or a word that only the server says, a code that is no text, a status or outcome that
+                is none, or an invocation that is live on another cell.
         """
         if event.kind not in REPORTABLE:
             raise ProtocolError(f"a cell does not report `{event.kind}`: valid are {', '.join(sorted(REPORTABLE))}")
         if strange := SERVERS_WORDS & event.body.keys():  # what is asked and granted is read back from those
             raise ProtocolError(f"a cell's report holds no `{min(strange)}`: that is the server's to say")
+        for word in CODES & event.body.keys():
+            if not isinstance(said := event.body[word], str | None):
+                raise ProtocolError(f"`{word}` of a cell's report is a text or null, not a `{type(said).__name__}`")
         match event.kind:
             case EventKind.STATUS:
                 _member("status", event.body.get("status"), LIVED_THROUGH)
@@ -472,7 +476,9 @@ def _unheard_pause(events: Sequence[Event]) -> dict[str, Any] | None:
         match body.get("op"):
             case "pause":
                 pause = {"op": PAUSE, "actor": event.actor} if "role" in body else None
-            case op if op in LIFTING or "decision" in body:
+            case str(op) if op in LIFTING:
+                pause = None
+            case _ if "decision" in body:
                 pause = None
             case _:
                 pass

@@ -307,6 +307,9 @@ async def test_a_gap_closes_the_link(runtime: Runtime, cell: HandCell) -> None:
         ("outcome", {"outcome": "fine"}),
         ("alert", {"escalation": {"id": "esc_1", "status": "pending"}}),
         ("alert", {"withdrawn": "esc_1"}),
+        ("human", {"op": ["pause"]}),
+        ("status", {"status": "running", "reason": {"handed": "back"}}),
+        ("launch", {"refused": True}),
     ],
 )
 async def test_a_cell_reports_only_what_a_cell_may(

@@ -97,6 +97,18 @@ async def test_a_pause_that_its_cell_may_not_have_heard_stands_after_a_start(hou
         assert again.ops() == []
 
 
+async def test_a_word_that_is_none_keeps_no_server_from_starting(house: House) -> None:
+    async with house.open() as first:
+        cell = await HandCell(first).dial()
+        await cell.state()
+        document, _ = await first.governor.propose(AGENT, navigate())
+        await cell.launched(document["id"])
+        strange = EventDraft(kind="human", actor=CELL, invocation=document["id"], body={"op": ["resume"]})
+        await first.register.append([strange])
+    async with house.open() as second:
+        assert (await second.governor.invocation(document["id"], AGENT))["status"] == "running"
+
+
 async def test_the_end_of_a_takeover_that_its_cell_refused_ends_no_other_after_a_start(house: House) -> None:
     async with house.open() as first:
         cell = await HandCell(first).dial()
