@@ -241,8 +241,10 @@ def _status(known: Body, actor: str, body: Body) -> Body:
 
 def _escalation(known: Body, actor: str, body: Body) -> Body:
     question = body.get("escalation")
-    if question is None or _over(known):  # a late word of the cell's
+    if _over(known):  # a late word of the cell's
         return {}
+    if question is None:  # the cell's, who holds all the same, where somebody has answered it already
+        return {"status": Status.ESCALATED.value} if NUMBER in body else {}
     asked = question["kind"] == "session" and question["status"] == "pending"
     return {"status": Status.ESCALATED.value} if asked else {}
 
@@ -251,7 +253,8 @@ def _outcome(known: Body, actor: str, body: Body) -> Body:
     if _over(known):
         return {}
     outcome = Outcome(body["outcome"])
-    said = {"outcome": outcome.value, "status": Status(body.get("status") or final_status(outcome)).value}
+    told = None if NUMBER in body else body.get("status")  # by the server alone: no cell says what its outcome makes
+    said = {"outcome": outcome.value, "status": Status(told or final_status(outcome)).value}
     return said if _AUTHORIZED in known else {**said, **_unlaunched(known, outcome, body)}
 
 

@@ -323,6 +323,29 @@ async def test_a_cell_reports_only_what_a_cell_may(
     assert (await runtime.governor.invocation(name, AGENT))["status"] == "running"
 
 
+async def test_an_outcome_has_the_status_that_the_server_gives_it(runtime: Runtime, cell: HandCell) -> None:
+    for claimed in ("running", "no status"):
+        name = await running(runtime, cell)
+        await cell.report("outcome", name, outcome="succeeded", status=claimed)
+        cell.invocation = cell.status = None
+        await cell.state()
+        assert (await runtime.governor.invocation(name, AGENT))["status"] == "completed"
+    # and the log says so: see `House.open`
+
+
+async def test_the_log_knows_of_a_session_that_is_held_again_in_the_tick_of_an_answered_question(
+    runtime: Runtime, cell: HandCell
+) -> None:
+    name = await running(runtime, cell)
+    await cell.report("status", name, status="escalated", reason="stall")
+    question = runtime.desk.pending_for(name)
+    assert question is not None
+    await runtime.desk.resolve(question.id, OPERATOR, "approve", question.digest)
+    await cell.report("status", name, status="running", reason="operator")
+    await cell.report("escalation", name, reason="stall")
+    assert (await runtime.governor.invocation(name, AGENT))["status"] == "escalated"
+
+
 async def test_a_cell_cannot_speak_for_anothers_session(runtime: Runtime, cell: HandCell) -> None:
     name = await running(runtime, cell)
     other = await HandCell(runtime, id="workcell-2").dial()
