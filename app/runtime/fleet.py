@@ -452,7 +452,7 @@ class Fleet:
     def _stop_stray(self, cell: Cell, attachment: Line) -> None:
         """Tell a cell to stop a session that nobody believes it to have: it ended, or is not known here."""
         held = cell.state.invocation if cell.fresh and cell.state is not None else None
-        if held is None or held == cell.claim or self._register.newest(held) is not None:
+        if held is None or held == cell.claim or self._register.under_way(held):
             return
         just_ended = (
             held == cell.ended and monotonic_s() - cell.ended_at_s <= FRESH_S

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Final
 from app.audit.errors import RecordUnavailable, RowUnreadable
 from app.audit.event import EventDraft
 from app.clock import rfc3339
-from app.governance.model import TERMINAL, EventKind, Status
+from app.governance.model import SESSION, TERMINAL, EventKind, Status
 from app.runtime.drafts import SERVER
 from app.runtime.errors import NotFound
 from app.runtime.invocation import read_invocation
@@ -80,6 +80,11 @@ class Register:
         """Return a live invocation's newest version."""
         entry = self._live.get(invocation)
         return None if entry is None else entry.newest
+
+    def under_way(self, invocation: str) -> bool:
+        """Say whether an invocation was launched and is not over."""
+        known = self.newest(invocation)
+        return known is not None and known.status in SESSION
 
     def entry(self, invocation: str) -> Entry | None:
         """Return a live invocation's entry, to lock it."""

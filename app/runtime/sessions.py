@@ -124,7 +124,7 @@ class Sessions:
     async def absorb(self, cell: str, events: Sequence[UpEvent], rows: Sequence[RowWrite]) -> None:
         """Record reports with the rows given, and what follows from them, all of it or nothing.
 
-        Reports of an invocation that the cell never had are kept, outside its trace.
+        Reports of an invocation that the cell never had, or that was never launched, are kept, outside its trace.
 
         Raises:
             RecordUnavailable: nothing was recorded.
@@ -153,19 +153,19 @@ class Sessions:
                 self._seal_soon(version, cell)
 
     async def _had(self, cell: str, name: str) -> bool:
-        """Say whether an invocation, live or over, is this cell's.
+        """Say whether an invocation was ever launched on this cell, live or over.
 
         Raises:
             RecordUnavailable: the record cannot say now.
         """
         known = self._register.newest(name)
         if known is not None:
-            return known.cell == cell
+            return known.cell == cell and known.status in SESSION
         try:
             row = await self._register.store.row("invocations", id=name)
         except AuditError as error:
             raise RecordUnavailable(str(error)) from error
-        return row is not None and row["cell"] == cell
+        return row is not None and row["cell"] == cell and row["status"] in LIVED_THROUGH
 
     def _keep_control(self, before: Invocation, version: Invocation) -> None:
         """Keep the lease of a cell's controls in step with what became of the session they were of.
@@ -301,7 +301,7 @@ class Sessions:
             RecordUnavailable: not all of it is recorded; asking again does the rest.
         """
         place = self._fleet.cell(cell)
-        if hello.invocation is not None and self._register.newest(hello.invocation) is None:
+        if hello.invocation is not None and not self._register.under_way(hello.invocation):
             self._fleet.restrain(place, Human(invocation=hello.invocation, op="stop", actor=SERVER))
         if believed is None:
             return

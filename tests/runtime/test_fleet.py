@@ -21,7 +21,7 @@ from app.runtime.errors import Conflict
 from app.runtime.link import PROTOCOL_VIOLATION
 from app.runtime.outlet import Outlet
 
-from .conftest import AGENT, AT_BENCH, AUDITOR, CELL, OPERATOR, OPERATOR_2, HandCell, House, navigate, until
+from .conftest import AGENT, AT_BENCH, AUDITOR, CELL, OPERATOR, OPERATOR_2, HandCell, House, grasp, navigate, until
 
 pytestmark = pytest.mark.anyio
 
@@ -344,6 +344,42 @@ async def test_the_log_knows_of_a_session_that_is_held_again_in_the_tick_of_an_a
     await cell.report("status", name, status="running", reason="operator")
     await cell.report("escalation", name, reason="stall")
     assert (await runtime.governor.invocation(name, AGENT))["status"] == "escalated"
+
+
+@pytest.mark.parametrize(
+    ("kind", "body"),
+    [
+        ("launch", {}),
+        ("launch", {"refused": "busy"}),
+        ("status", {"status": "running"}),
+        ("escalation", {"reason": "stall"}),
+        ("outcome", {"outcome": "succeeded"}),
+    ],
+)
+async def test_what_waits_for_people_is_nothing_that_a_cell_has(
+    runtime: Runtime, cell: HandCell, kind: str, body: dict[str, Any]
+) -> None:
+    document, _ = await runtime.governor.propose(AGENT, grasp())
+    before = await runtime.register.load(document["id"])
+    await cell.report(kind, before.id, **body)
+    assert await runtime.register.load(before.id) == before
+    question = runtime.desk.pending_for(before.id)
+    assert question is not None
+    await runtime.desk.resolve(question.id, OPERATOR, "approve", question.digest)
+    assert {event["actor"] for event in await runtime.governor.trace(before.id, AUDITOR)} == {
+        "server", AGENT.name, OPERATOR.name,
+    }  # fmt: skip
+
+
+async def test_a_cell_that_holds_what_waits_for_people_is_told_to_stop_it(runtime: Runtime, cell: HandCell) -> None:
+    document, _ = await runtime.governor.propose(AGENT, grasp())
+    cell.invocation, cell.status = document["id"], "running"
+    await cell.state()
+    runtime.fleet.look()
+    await until(lambda: cell.ops() == ["stop"])
+    await cell.hang_up()
+    back = await HandCell(runtime, seq=cell.seq, invocation=document["id"]).dial()
+    await until(lambda: back.ops() == ["stop"])
 
 
 async def test_a_cell_cannot_speak_for_anothers_session(runtime: Runtime, cell: HandCell) -> None:
