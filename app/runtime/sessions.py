@@ -71,6 +71,7 @@ UNCONFIRMED_S: Final = LAUNCH_WITHIN_S + 1.0  # by then the permit has run out
 _ENDS_AS: Final = {DENIED: "on_deny", EXPIRED: "on_timeout"}  # what a question says of it
 LIFTING: Final = GOING_ON | {TAKEOVER, "release"}  # words that end a pause
 LIVED_THROUGH: Final = SESSION | {Status.COMPLETED, Status.FAILED}
+ENDS: Final = frozenset(Outcome) - {Outcome.REJECTED, Outcome.DENIED, Outcome.DEFERRED, Outcome.EXPIRED}  # of sessions
 REPORTABLE: Final = frozenset({
     EventKind.LAUNCH, EventKind.ALERT, EventKind.INTERVENTION, EventKind.RECOVERY, EventKind.STATUS, EventKind.HUMAN,
     EventKind.ESCALATION, EventKind.OUTCOME, EventKind.CELL,
@@ -114,7 +115,7 @@ class Sessions:
             case EventKind.STATUS:
                 _member("status", event.body.get("status"), LIVED_THROUGH)
             case EventKind.OUTCOME:
-                _member("outcome", event.body.get("outcome"), Outcome)
+                _member("outcome", event.body.get("outcome"), ENDS)
             case _:
                 pass
         known = None if event.invocation is None else self._register.newest(event.invocation)

@@ -305,6 +305,7 @@ async def test_a_gap_closes_the_link(runtime: Runtime, cell: HandCell) -> None:
         ("status", {"status": "awaiting_approval"}),
         ("status", {}),
         ("outcome", {"outcome": "fine"}),
+        ("outcome", {"outcome": "denied"}),
         ("alert", {"escalation": {"id": "esc_1", "status": "pending"}}),
         ("alert", {"withdrawn": "esc_1"}),
         ("human", {"op": ["pause"]}),
