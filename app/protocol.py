@@ -306,7 +306,7 @@ class Sighting(Message):
     type: Literal["sighting"] = "sighting"
     invocation: str
     time_s: float
-    people: Annotated[list[tuple[int, float, float]], Field(max_length=64)]
+    people: Annotated[list[tuple[Count, float, float]], Field(max_length=64)]
     bodies: Annotated[dict[str, tuple[float, float, float, float, float, float, float]], Field(max_length=256)]
 
 

@@ -50,8 +50,9 @@ if TYPE_CHECKING:
 
 MAX_WAITING_FRAMES: Final = 256
 MAX_WAITING_EVENTS: Final = 4096
+MAX_WAITING: Final = 16 * 1024 * 1024  # characters of reports that wait for the record
 BATCH_EVENTS: Final = 256
-MAX_SHOWN: Final = 256 * 1024  # characters of a state, or anything else that everybody is shown ten times a second
+MAX_SHOWN: Final = 256 * 1024  # characters of a report, a state, or whatever else is not shown once in a link
 RETRY_S: Final = 0.5
 DEAD_S: Final = 1.0  # a link that has been silent so long may be replaced
 SILENT_S: Final = 6.0  # and after this it is closed: the socket may hang half open
@@ -137,6 +138,8 @@ class Attachment:
         self._outlet: deque[Message] = deque()
         self._jog: Message | None = None
         self._reports: deque[UpEvent] = deque()
+        self._lengths: deque[int] = deque()  # of them, in characters
+        self._waiting = 0  # all of those
         self._next_seq = 0
         self._beat = 0
         self._outgoing = asyncio.Event()
@@ -223,14 +226,14 @@ class Attachment:
                 raise ProtocolError(f"a link begins with `hello`, not with `{message.type}`")
             await self._greet(message)
             return
+        if len(frame) > MAX_SHOWN and not isinstance(message, Scene):
+            raise ProtocolError(f"a `{message.type}` of `{len(frame)}` characters: valid are `{MAX_SHOWN}`")
         match message:
             case Hello():
                 raise ProtocolError("`hello` was said already: valid once per link")
             case UpEvent():
-                self._queue(message)
+                self._queue(message, len(frame))
             case _:
-                if len(frame) > MAX_SHOWN and not isinstance(message, Scene):
-                    raise ProtocolError(f"a `{message.type}` of `{len(frame)}` characters: valid are `{MAX_SHOWN}`")
                 self._show(message)
 
     def _show(self, message: State | Scene | Path | Sighting | Beat) -> None:
@@ -279,7 +282,7 @@ class Attachment:
             self.post(Policy(digest=self._hub.policy_digest, files=dict(self._hub.policy_files)))
         await self._hub.welcome(self, hello)
 
-    def _queue(self, event: UpEvent) -> None:
+    def _queue(self, event: UpEvent, length: int) -> None:
         if event.seq < self._next_seq:
             self.post(Ack(seq=self.cell.up_seq))
             return
@@ -287,9 +290,13 @@ class Attachment:
             raise ProtocolError(f"report `{event.seq}` leaves a gap: `{self._next_seq}` comes next")
         if len(self._reports) >= MAX_WAITING_EVENTS:
             raise ProtocolError(f"more than `{MAX_WAITING_EVENTS}` reports wait for the record")
+        if self._waiting + length > MAX_WAITING:
+            raise ProtocolError(f"reports of more than `{MAX_WAITING}` characters wait for the record")
         self._hub.check_report(self.cell, event)
         self._next_seq += 1
         self._reports.append(event)
+        self._lengths.append(length)
+        self._waiting += length
         self._incoming.set()
 
     async def _record(self, journal: str) -> None:
@@ -303,6 +310,7 @@ class Attachment:
                     continue
                 for _ in batch:
                     self._reports.popleft()
+                    self._waiting -= self._lengths.popleft()
                 self.post(Ack(seq=self.cell.up_seq))
             await self._hub.caught_up(self)
 

@@ -18,7 +18,7 @@ from app.runtime import cells as cells_module
 from app.runtime import sessions as sessions_module
 from app.runtime.assembly import Runtime
 from app.runtime.errors import Conflict
-from app.runtime.link import PROTOCOL_VIOLATION
+from app.runtime.link import MAX_SHOWN, MAX_WAITING, PROTOCOL_VIOLATION
 from app.runtime.outlet import Outlet
 
 from .conftest import AGENT, AT_BENCH, AUDITOR, CELL, OPERATOR, OPERATOR_2, HandCell, House, grasp, navigate, until
@@ -284,6 +284,39 @@ async def test_a_cell_that_has_not_kept_what_the_log_lacks_launches_nothing_and_
     await anew.state()
     assert not runtime.fleet.faults()
     await running(runtime, anew)
+
+
+async def test_a_number_that_no_file_can_hold_costs_no_session_its_telemetry(runtime: Runtime, cell: HandCell) -> None:
+    name = await running(runtime, cell)
+    assert cell.attachment is not None
+    await cell.attachment.receive(pack_batch(name, row(0.0)))
+    seen = {"type": "sighting", "invocation": name, "time_s": 0.0, "people": [[2**70, 1.0, 2.0]], "bodies": {}}
+    await cell.attachment.receive(json.dumps(seen))
+    await until(lambda: cell.closed is not None)
+    back = await HandCell(runtime, seq=cell.seq, invocation=name, status="running").dial()
+    await back.ended(name, "succeeded")
+    assert (await sealed_telemetry(runtime))["rows"] == 1
+
+
+async def test_what_waits_for_the_record_is_bounded(
+    runtime: Runtime, cell: HandCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def full(*_: Any) -> None:
+        raise RecordUnavailable("the disk is full")
+
+    monkeypatch.setattr(runtime.store, "append", full)
+    for _ in range(MAX_WAITING // 200_000 + 1):
+        await cell.say(cell.event("cell", what="started", detail="x" * 200_000))
+    await until(lambda: cell.closed is not None)
+    assert cell.closed is not None
+    assert "wait for the record" in cell.closed[1]
+
+
+async def test_a_report_has_only_so_many_characters(cell: HandCell) -> None:
+    await cell.say(cell.event("cell", what="started", detail="x" * MAX_SHOWN))
+    await until(lambda: cell.closed is not None)
+    assert cell.closed is not None
+    assert f"valid are `{MAX_SHOWN}`" in cell.closed[1]
 
 
 async def test_a_gap_closes_the_link(runtime: Runtime, cell: HandCell) -> None:
