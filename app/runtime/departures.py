@@ -43,10 +43,11 @@ class Departures:
         before = (*self.over(session), *self._standing.pop(session, ()))
         self._over[session] = _but(before, reasons)
 
-    def depart(self, session: str, reasons: Iterable[Why], told_s: float) -> None:
-        """Note why a session departs, and when it was told to hold (`clock.monotonic_s`)."""
+    def depart(self, session: str, reasons: Iterable[Why], told_s: float | None = None) -> None:
+        """Note why a session departs, and when it was told to hold (`clock.monotonic_s`), if it was told so now."""
         self._standing[session] = tuple(reasons)
-        self._told_s[session] = told_s
+        if told_s is not None:
+            self._told_s[session] = told_s
 
     def recall(self, session: str, now: Iterable[Why], ever: Iterable[Why]) -> None:
         """Take back what was said before a start: what stands `now` joins what was found since, `ever` is all of it."""

@@ -25,7 +25,7 @@ from app.audit.event import EventDraft
 from app.clock import monotonic_s, rfc3339
 from app.governance.authority import need
 from app.governance.continuing import ACCEPTED, CHANGED, CONFORMS, Departure
-from app.governance.control import TAKEOVER
+from app.governance.control import TAKEOVER, Phase
 from app.governance.model import SESSION, AdmissionOutcome, EventKind, Outcome, PolicyOutcome, Reason, Status
 from app.protocol import Human
 from app.runtime.drafts import SERVER, escalation_event, outcome_event, reason
@@ -103,9 +103,10 @@ class Succession:
 
     def _compare(self, present: Invocation) -> list[EventDraft]:
         """Tell a session to hold if it departs from what is in force now; return what was done."""
-        found = self.departure(present)
-        self._desk.departures.conform(present.id, reasons_document(found.reasons))
-        return [self._hold(present, found)] if found else []
+        found, departures = self.departure(present), self._desk.departures
+        departed = departures.standing(present.id) is not None
+        departures.conform(present.id, reasons_document(found.reasons))
+        return [self._hold(present, found, departed=departed)] if found else []
 
     def departure(self, present: Invocation) -> Departure:
         """Say how a session departs from the policy in force."""
@@ -121,10 +122,16 @@ class Succession:
         found = self.departure(present)
         return [] if found.askable else reasons_document(found.reasons)
 
-    def _hold(self, present: Invocation, found: Departure) -> EventDraft:
+    def _hold(self, present: Invocation, found: Departure, *, departed: bool) -> EventDraft:
+        """Tell a session to hold; who has taken one that had `departed` before is held to `Cell.hands` alone."""
         reasons = reasons_document(found.reasons)
-        self._desk.departures.depart(present.id, reasons, monotonic_s())
-        self._restrain(present)
+        control = self._fleet.cell(present.cell or "").control
+        mine = control is not None and control.invocation == present.id and control.phase is Phase.HELD
+        if departed and mine:
+            self._desk.departures.depart(present.id, reasons)
+        else:
+            self._desk.departures.depart(present.id, reasons, monotonic_s())
+            self._restrain(present)
         body = {
             "intervention": "ESCALATE",
             "code": CHANGED,

@@ -1006,6 +1006,30 @@ async def test_whoever_drives_a_session_is_held_to_what_another_policy_says_of_d
         await until(lambda: cell.ops() == ["let_go"])
 
 
+async def test_whoever_took_a_session_that_had_departed_drives_on_under_the_next_policy(
+    runtime: Runtime, cell: HandCell
+) -> None:
+    made = await running(runtime, cell)
+    await put_in_force(runtime, SLOWER)
+    await cell.report("status", made["id"], status="escalated", reason="policy_changed")
+    lease = (await runtime.governor.take_over(made["id"], OPERATOR))["lease"]
+    await cell.report("launch", made["id"], capability="takeover")
+    await cell.report("status", made["id"], status="running", reason="taken_over")
+    await put_in_force(runtime, edited(SHARED, "base_speed_mps: {max: 0.3", "base_speed_mps: {max: 0.25"))
+    runtime.governor.loosen_hands()
+    await asyncio.sleep(3 * AGAIN_S)
+    driven = runtime.fleet.cell(cell.id).control
+    assert driven is not None
+    assert (driven.lease, cell.ops()) == (lease, ["escalate"])
+    await put_in_force(runtime, edited(ORGANIZATION, "rules:\n", f"rules:\n{NO_HAND}", SLOWER))
+    runtime.governor.loosen_hands()
+    await until(lambda: cell.ops() == ["escalate", "let_go"])
+    await cell.report("status", made["id"], status="escalated", reason="control_lapsed")
+    asked = runtime.desk.pending_for(made["id"])
+    assert asked is not None
+    assert runtime.desk.outdated(asked) is not None, "it is asked anew, with what policy has against it"
+
+
 async def test_what_is_bound_anew_under_a_policy_that_gives_way_meanwhile_is_not_sent(
     runtime: Runtime, cell: HandCell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
