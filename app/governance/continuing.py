@@ -169,7 +169,7 @@ def _moved(old: PolicySet, new: PolicySet, proposal: Proposal, context: Context)
             found.append(_news("place_changed", f"the {kind} `{name}` is another place in the site now"))
     if any(kind == "target" for _, kind, _ in known):
         was, now = barriers(old.site), barriers(new.site)
-        others = [name for name, place in now.items() if was.get(name) != place]
+        others = [name for (kind, name), place in now.items() if was.get((kind, name)) != place]
         found += [_news("place_changed", f"`{name}`, of which it keeps clear, is elsewhere now") for name in others]
     return tuple(found)
 

@@ -157,13 +157,16 @@ def places(site: Site) -> Mapping[str, Mapping[str, object]]:
     }
 
 
-def barriers(site: Site) -> Mapping[str, object]:
+def barriers(site: Site) -> Mapping[tuple[str, str], object]:
     """Return what every drive keeps clear of, wherever it leads: furniture and restricted zones, and the site's bounds.
 
-    What is forbidden is not among it: that binds what stands still as well.
+    By kind and name, since a zone may be called as what stands in it. What is forbidden is not among it: that binds
+    what stands still as well.
     """
-    zones = {name: zone.polygon for name, zone in site.zones.items() if zone.kind == "restricted"}
-    return {"bounds_m": site.bounds_m, **_unled(site.surfaces), **_unled(site.tools), **zones}
+    restricted = {name: zone.polygon for name, zone in site.zones.items() if zone.kind == "restricted"}
+    found = {"surface": _unled(site.surfaces), "tool": _unled(site.tools), "zone": restricted}
+    named = {(kind, name): thing for kind, things in found.items() for name, thing in things.items()}
+    return {("site", "bounds_m"): site.bounds_m, **named}
 
 
 def _unled(found: Mapping[str, _Led]) -> dict[str, _Led]:

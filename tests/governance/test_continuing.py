@@ -168,6 +168,18 @@ def test_what_drives_departs_when_something_is_in_its_way_by_now_and_what_stands
     assert "place_changed" not in codes(between(shipped(), other))
 
 
+def test_a_zone_that_is_called_as_what_stands_in_it_hides_nothing_that_was_moved() -> None:
+    named = edited(("site.yaml", "  store: {kind: restricted", "  bench_b: {kind: restricted"))
+    moved = edited(
+        ("site.yaml", "  store: {kind: restricted", "  bench_b: {kind: restricted"),
+        ("site.yaml", "bench_b: {x_m: 5.2, y_m: 5.4", "bench_b: {x_m: 5.2, y_m: 5.0"),
+    )
+    drive = named.validate_params("navigate_to", {"target": "dock", "clearance_m": 0.3})
+    assert not isinstance(drive, tuple)
+    found = between(named, moved, Proposal(capability="navigate_to", params=drive))
+    assert "place_changed" in codes(found)
+
+
 def test_another_name_of_the_stand_at_a_place_moves_nothing() -> None:
     renamed = files()
     renamed["site.yaml"] = renamed["site.yaml"].replace("bench_a_stand", "bench_a_front")
