@@ -76,7 +76,7 @@ REPORTABLE: Final = frozenset({
     EventKind.LAUNCH, EventKind.ALERT, EventKind.INTERVENTION, EventKind.RECOVERY, EventKind.STATUS, EventKind.HUMAN,
     EventKind.ESCALATION, EventKind.OUTCOME, EventKind.CELL,
 })  # fmt: skip
-SERVERS_WORDS: Final = frozenset({*TABLES, WITHDRAWN})
+SERVERS_WORDS: Final = frozenset({*TABLES, WITHDRAWN, "role"})  # a role is a person's: an echo of their word names none
 CODES: Final = frozenset({"op", "what", "reason", "refused", "permit", "failure", "code"})  # what follows goes by these
 
 

@@ -342,6 +342,7 @@ async def test_a_gap_closes_the_link(runtime: Runtime, cell: HandCell) -> None:
         ("alert", {"escalation": {"id": "esc_1", "status": "pending"}}),
         ("alert", {"withdrawn": "esc_1"}),
         ("human", {"op": ["pause"]}),
+        ("human", {"op": "pause", "role": "operator"}),
         ("status", {"status": "running", "reason": {"handed": "back"}}),
         ("launch", {"refused": True}),
     ],
