@@ -174,7 +174,8 @@ class Handbacks:
             raise
 
     def _given_back(self, cell: Cell, present: Invocation, then: str, **changes: Any) -> Invocation:  # noqa: ANN401
-        facts = cell.state.facts if cell.fresh and cell.state is not None else None
+        read = cell.state is not None and self.fleet.facts(cell).facts is not None  # else they may be anything
+        facts = cell.state.facts if read and cell.state is not None else None
         takeover = given_back(present.takeover or {}, then, facts)
         return present.evolve(self.register.now(), takeover=takeover, **changes)
 

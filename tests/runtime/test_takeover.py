@@ -69,6 +69,21 @@ async def test_whoever_takes_over_drives_under_an_authorization_of_their_own(
     assert document["takeover"]["state"] == "held"
 
 
+@pytest.mark.parametrize("facts", [{}, {"objects": [1]}, {"objects": {"mug_1": 5}}])
+async def test_a_session_is_undone_whatever_its_cell_says_of_the_world(
+    runtime: Runtime, cell: HandCell, driving: str, facts: dict[str, Any]
+) -> None:
+    await runtime.governor.take_over(driving, OPERATOR)
+    await cell.report("launch", driving, capability="takeover")
+    async with stating(cell, facts=facts):
+        back = asyncio.create_task(runtime.governor.release(driving, OPERATOR, "rollback"))
+        await until(lambda: "rollback" in cell.ops() or back.done())
+        assert "rollback" in cell.ops()
+        await cell.report("status", driving, status="recovering", reason="ROLLBACK")
+        await back
+    assert (await runtime.governor.invocation(driving, AGENT))["takeover"]["facts"] is None
+
+
 async def test_the_second_is_refused_and_told_who_has_it(runtime: Runtime, cell: HandCell, driving: str) -> None:
     await runtime.governor.take_over(driving, OPERATOR)
     error = await refused(runtime.governor.take_over(driving, OPERATOR_2))
