@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 
 import pytest
-from playwright.sync_api import Locator, expect
+from playwright.sync_api import CDPSession, Locator, expect
 
 from app.api.auth import issue_token
 from app.governance.model import Role
@@ -249,6 +249,38 @@ def test_of_a_page_that_fingers_magnify_all_was_on_the_screen_before_a_finger_ap
         until(readies, what="an answer that can be given")
         assert len(ends) > 3
         assert {line: end for line, end in ends.items() if end < 0.98} == {}
+    finally:
+        fingers.send("Emulation.setPageScaleFactor", {"pageScaleFactor": 1})
+        fingers.detach()
+
+
+def _magnified(person: Person, scale: float) -> CDPSession:
+    fingers = person.page.context.new_cdp_session(person.page)
+    fingers.send("Emulation.setPageScaleFactor", {"pageScaleFactor": scale})
+    person.page.evaluate(THREE_FRAMES)
+    return fingers
+
+
+def test_of_a_page_that_fingers_magnify_a_little_what_scrolls_in_it_is_read(
+    server: ServerProcess, people: People, floor: Floor
+) -> None:
+    person = people.sit(server, size=PHONE)
+    fingers = _magnified(person, 1.1)
+    try:
+        floor.ask("glass_1", confidence=0.3)
+        approve, read = person.button(re.compile("^Approve")), person.button("Read it first")
+        expect(person.button(re.compile("^Deny"))).to_be_enabled()
+
+        def readies() -> bool:
+            read.evaluate_all(PRESS_ALL)
+            person.page.wait_for_timeout(450)
+            return approve.count() == 1
+
+        until(readies, what="an answer that can be given")
+        scrolled, pans = person.page.evaluate("[document.querySelector('#page').scrollTop, visualViewport.offsetTop]")
+        assert scrolled > 100 > 10 > pans  # the page moved under the screen, and not the screen over the page
+        person.page.evaluate("document.querySelector('#page').scrollTop = document.querySelector('#page').scrollHeight")
+        expect(read).to_be_visible()  # nothing of it is in sight
     finally:
         fingers.send("Emulation.setPageScaleFactor", {"pageScaleFactor": 1})
         fingers.detach()

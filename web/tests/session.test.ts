@@ -82,7 +82,7 @@ describe('what is asked', () => {
   const line = (at: number): Element => ({ at, compareDocumentPosition: (other: { at: number }) => (other.at > at ? 4 : 2) }) as unknown as Element;
   const [reasons, values] = [line(1), line(2)];
   const sight = (): Sight => {
-    vi.stubGlobal('IntersectionObserver', class { observe(): void {} disconnect(): void {} });
+    vi.stubGlobal('IntersectionObserver', class { observe(): void {} unobserve(): void {} disconnect(): void {} });
     const made = new Sight();
     made.watch(values); // whichever comes first
     made.watch(reasons);

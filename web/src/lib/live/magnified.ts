@@ -78,12 +78,16 @@ export function bringInto(room: Box, line: Element, fromPx: number): void {
   part.remove();
 }
 
-/** Calls back whenever the screen may show something else of the page than before, which it moves by itself, or shows none of it. */
+/**
+ * Calls back whenever the screen may show something else of the page than before, or none of it: where the page is magnified,
+ * the screen is moved over it, and what scrolls in it moves under the screen.
+ */
 export function heedScreen(changed: () => void): () => void {
   if (typeof document === 'undefined') return () => undefined;
   const gone = new AbortController();
   for (const change of ['resize', 'scroll']) window.visualViewport?.addEventListener(change, changed, { signal: gone.signal });
   document.addEventListener('visibilitychange', changed, { signal: gone.signal });
+  document.addEventListener('scroll', () => magnifiedTo() !== null && changed(), { capture: true, signal: gone.signal });
   return () => gone.abort();
 }
 

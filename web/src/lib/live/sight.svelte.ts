@@ -54,6 +54,7 @@ export class Sight {
   /** Where the page is magnified, a line is read from side to side. */
   private across = new WeakMap<Element, Across>();
   private readonly all = new WeakMap<Element, () => boolean>();
+  private looks: readonly (() => void)[] = [];
 
   get read(): boolean {
     return !this.covered && this.parts.every((part) => part.seen) && this.parts.some((part) => part.here);
@@ -77,6 +78,7 @@ export class Sight {
       this.put(element, { seen: false });
       if (here) this.note(element, true, this.all.get(element));
     }
+    this.looks.forEach((again) => again()); // other words move what stands below them
   }
 
   /** Watches one part; returns how to end that. */
@@ -88,12 +90,15 @@ export class Sight {
     }, { threshold: SHARES });
     seen.observe(element);
     // By itself it speaks of where the page is laid out: that is the same where fingers magnify it, or nobody sees it.
-    const deaf = heedScreen(() => {
+    const again = (): void => {
       seen.unobserve(element);
       seen.observe(element);
-    });
+    };
+    const deaf = heedScreen(again);
+    this.looks = [...this.looks, again];
     return () => {
       deaf();
+      this.looks = this.looks.filter((one) => one !== again);
       seen.disconnect();
       clearTimeout(this.reading.get(element));
       this.parts = this.parts.filter((part) => part.element !== element);
@@ -124,6 +129,7 @@ export class Sight {
     const [first] = unread;
     if (room !== null && first !== undefined) bringInto(room, first, this.across.get(first)?.endPx ?? 0);
     else unread.toReversed().forEach(scrollTo);
+    if (room !== null) this.looks.forEach((again) => again()); // it may stand there already, where something above it is gone
     return first !== undefined;
   }
 
