@@ -286,6 +286,28 @@ def test_of_a_page_that_fingers_magnify_a_little_what_scrolls_in_it_is_read(
         fingers.detach()
 
 
+@pytest.mark.parametrize("scale", [1.1, 1.2])
+def test_whoever_magnifies_a_phone_that_is_held_sideways_is_led_to_what_the_bar_lies_over(
+    server: ServerProcess, people: People, floor: Floor, scale: float
+) -> None:
+    person = people.sit(server, size=SIDEWAYS)
+    fingers = _magnified(person, scale)
+    try:
+        floor.ask("glass_1", confidence=0.3)
+        approve, read = person.button(re.compile("^Approve")), person.button("Read it first")
+        expect(person.button(re.compile("^Deny"))).to_be_enabled()
+
+        def readies() -> bool:
+            read.evaluate_all(PRESS_ALL)
+            person.page.wait_for_timeout(450)
+            return approve.count() == 1
+
+        until(readies, what="an answer that can be given")
+    finally:
+        fingers.send("Emulation.setPageScaleFactor", {"pageScaleFactor": 1})
+        fingers.detach()
+
+
 @pytest.mark.parametrize("opened", ["Menu", "Keys"])
 def test_no_finger_approves_what_lies_behind_the_menu_or_the_list_of_keys(
     server: ServerProcess, people: People, floor: Floor, opened: str

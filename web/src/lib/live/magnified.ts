@@ -61,8 +61,8 @@ export function bringInto(room: Box, line: Element, fromPx: number): void {
   const [width, height] = [Math.min(its.width - fromPx, wide - 2 * SPARE_PX), Math.min(its.height, high)];
   const spare = Math.min(SPARE_PX, (high - height) / 2);
   const { offsetLeft, offsetTop, width: shownPx, height: lowPx } = window.visualViewport ?? { offsetLeft: 0, offsetTop: 0, width: wide, height: high };
-  // What the bar lies over is no room; where the page ends above it anyway, nothing is.
-  const [aside, below] = [Math.min(offsetLeft + shownPx, around.right) - room.right, Math.min(offsetTop + lowPx, around.bottom) - room.bottom];
+  // What the bar lies over is no room; where the page ends above it anyway, nothing is. To the side the screen moves alone, and the page does not scroll.
+  const [aside, below] = [offsetLeft + shownPx - room.right, Math.min(offsetTop + lowPx, around.bottom) - room.bottom];
   const part = document.createElement('i');
   const px = (value: number): string => `${value}px`;
   Object.assign(part.style, {
