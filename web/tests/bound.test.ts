@@ -39,8 +39,23 @@ describe('what holds in one of two profiles alone', () => {
     const either = rule('organization/either', { profiles: null, when: 'tool.press || profile.shared_floor' });
     const rules = [press, other, either] as unknown as Record<string, unknown>[];
     const found = (from: boolean, to: boolean): string[] => boundDifferences({ rules, profiles: { floor: { shared_floor: from }, lab: { shared_floor: to } } }, [], 'floor', 'lab').map(({ what, way }) => `${what}: ${way}`);
-    expect(found(true, false)).toEqual(['Rule “Press two approvers”: looser', 'Rule “Else”: stricter']);
+    expect(found(true, false)).toEqual(['Rule “Press two approvers”: looser', 'Rule “Else”: stricter', 'Rule “Either”: different']);
     expect([found(true, true), found(false, false)]).toEqual([[], []]);
+  });
+
+  it('are rules that go by the profile, or may do so', () => {
+    const found = (when: string, profiles: Record<string, Record<string, unknown>> = { floor: { shared_floor: true, sensitivity: 1 }, lab: { shared_floor: false, sensitivity: 1 } }): string[] => {
+      const rules = [rule('organization/x', { profiles: null, then: 'deny', when })] as unknown as Record<string, unknown>[];
+      return boundDifferences({ rules, profiles }, [], 'floor', 'lab').map(({ to, way }) => `${way}${to.startsWith('may differ') ? '?' : ''}`);
+    };
+    expect(['profile.name == "floor"', "tool.press && profile.name != 'lab'", 'profile.name != "floor"', 'profile.name == "yard"', 'profile.name != "yard"'].map((when) => found(when))).toEqual([['looser'], ['looser'], ['stricter'], [], []]);
+    const unknown = [
+      'profile.name in ["floor", "hall"]', 'profile.name == "floor" || tool.press', 'profile.shared_floor ? tool.press : true', '!(tool.press && profile.shared_floor && place.near)',
+      'profile.name.startsWith("f")', 'tool.press && !(profile.name == "lab")', 'metadata.intent == "a && profile.shared_floor && b"', 'profile == agent', '(profile.shared_floor)',
+    ];
+    expect(unknown.map((when) => found(when))).toEqual(unknown.map(() => ['different?']));
+    expect([found('profile.sensitivity > 0.5'), found('metadata.profile == "x"'), found('tool.press')]).toEqual([[], [], []]);
+    expect([found('profile.sensitivity > 0.5', { floor: { sensitivity: 1 }, lab: { sensitivity: 0.2 } }), found('tool.press && profile.shared_floor', {})]).toEqual([['different?'], ['different?']]);
   });
 
   it('are phases that a person confirms, and capabilities that are forbidden', () => {

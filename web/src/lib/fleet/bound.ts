@@ -9,6 +9,7 @@ import { FEWER, MORE, together, type Difference, type Way } from './ways';
 
 type Holding = Pick<PolicySet, 'rules' | 'authority' | 'profiles'>;
 const NONE = 'no such rule';
+const MAY_DIFFER = 'may differ: its condition goes by the profile';
 const UNCONFIRMED = 'nobody confirms a phase';
 
 const FORBIDDEN = 'forbidden';
@@ -51,7 +52,7 @@ function askedWords(so: boolean): string {
 
 function ofRules({ rules, profiles }: Holding, from: string, to: string): Difference[] {
   const all = rules as unknown as Rule[];
-  const holds = (rule: Rule, profile: string): boolean => (rule.profiles?.includes(profile) ?? true) && mayHold(rule.when, profiles[profile]);
+  const holds = (rule: Rule, profile: string): boolean => (rule.profiles?.includes(profile) ?? true) && mayHold(rule.when, profile, profiles[profile]);
   const [mine, theirs] = ([[from, to], [to, from]] as const).map(([here, there]) => all.filter((rule) => holds(rule, here) && !holds(rule, there)));
   const rest = new Set(theirs);
   const pairs = (mine ?? []).map((rule): [Rule | undefined, Rule | undefined] => {
@@ -59,14 +60,47 @@ function ofRules({ rules, profiles }: Holding, from: string, to: string): Differ
     if (other !== undefined) rest.delete(other);
     return [rule, other];
   });
-  return [...pairs, ...[...rest].map((rule): [undefined, Rule] => [undefined, rule])].flatMap(([a, b]) => ofRule(a, b));
+  return [
+    ...[...pairs, ...[...rest].map((rule): [undefined, Rule] => [undefined, rule])].flatMap(([a, b]) => ofRule(a, b)),
+    ...all.filter((rule) => holds(rule, from) && holds(rule, to) && goesBy(rule.when, { from, to, profiles })).map(ofCondition),
+  ];
 }
 
-/** Whether a condition may hold under a profile, as far as its parts say whether the floor is shared: of others that is not known. */
-function mayHold(when: string | null, facts: ProfileFacts | undefined): boolean {
-  if (when === null || facts?.shared_floor === undefined || when.includes('||') || when.includes('?')) return true;
-  const parts = when.split('&&').map((part) => part.trim());
-  return !parts.includes(facts.shared_floor ? '!profile.shared_floor' : 'profile.shared_floor');
+/** Whether a condition may hold under a profile, as far as its parts go by that alone: of others that is not known. */
+function mayHold(when: string | null, profile: string, facts: ProfileFacts | undefined): boolean {
+  return partsOf(when).every((part) => holdsOf(part, profile, facts) !== false);
+}
+
+/** Whether a condition goes by something of the profile that differs between two, so that it may hold in one and not in the other. */
+function goesBy(when: string | null, { from, to, profiles }: { from: string; to: string } & Pick<Holding, 'profiles'>): boolean {
+  const [a, b] = [profiles[from], profiles[to]];
+  const differs = (fact: string | undefined): boolean => fact === undefined || fact === 'name' || a?.[fact] === undefined || a[fact] !== b?.[fact];
+  return partsOf(when).some((part) => (holdsOf(part, from, a) ?? holdsOf(part, to, b)) === undefined && [...part.matchAll(NAMES_PROFILE)].some(([, fact]) => differs(fact)));
+}
+
+const NAMES_PROFILE = /(?<![.\w])profile\b(?:\s*\.\s*(\w+))?/g;
+
+/** What has to hold all together, or else the condition as it is: a part of one in brackets, or in quotes, says nothing by itself. */
+function partsOf(when: string | null): string[] {
+  if (when === null) return [];
+  const parts = /\|\||\?/.test(when) ? [when] : when.split('&&').map((part) => part.trim());
+  return parts.every(isWhole) ? parts : [when];
+}
+
+function isWhole(part: string): boolean {
+  const count = (letter: string): number => part.split(letter).length - 1;
+  return ['()', '[]', '{}'].every(([open = '', close = '']) => count(open) === count(close)) && ['"', "'"].every((quote) => count(quote) % 2 === 0);
+}
+
+/** Whether a part of a condition holds under a profile; undefined where it takes more than that to know. */
+function holdsOf(part: string, profile: string, facts: ProfileFacts | undefined): boolean | undefined {
+  if (/^!?profile\.shared_floor$/.test(part)) return facts?.shared_floor === undefined ? undefined : facts.shared_floor !== part.startsWith('!');
+  const [, is, , name] = /^profile\.name\s*(==|!=)\s*(["'])([^"'\\]*)\2$/.exec(part) ?? [];
+  return name === undefined ? undefined : (name === profile) === (is === '==');
+}
+
+function ofCondition(rule: Rule): Difference {
+  return { what: `Rule “${ruleWords(rule.id)}”`, from: wordsOf(rule), to: MAY_DIFFER, way: 'different' };
 }
 
 function nameOf(id: string): string {
