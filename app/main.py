@@ -162,10 +162,14 @@ def read_cell_token(path: Path) -> str:
     """Return the token that cells started here dial in with.
 
     Raises:
-        ConfigError: the file holds no token.
+        ConfigError: the file holds no token, or is gone.
         OSError: it cannot be read.
     """
-    token = path.read_bytes().strip()
+    try:
+        token = path.read_bytes().strip()
+    except FileNotFoundError as error:
+        new = f"`reins token issue cell --role cell --data {path.parent} > {path}`"
+        raise ConfigError("cell.token", "missing", f"`{path}` restored, or a new token of a cell: {new}") from error
     if not token or not token.isascii():
         raise ConfigError("cell.token", path, "the token of a cell: `reins token issue --role cell` makes one")
     return token.decode()

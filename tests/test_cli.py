@@ -381,6 +381,13 @@ def test_a_cells_token_that_is_none_is_named_with_what_makes_one(tmp_path: Path,
         read_cell_token(tmp_path / "cell.token")
 
 
+def test_a_cells_token_that_is_gone_is_named_with_what_makes_one(tmp_path: Path) -> None:
+    open_principals(tmp_path)
+    (tmp_path / "cell.token").unlink()
+    with pytest.raises(ConfigError, match=r"cell\.token. is .missing.*reins token issue cell --role cell --data"):
+        read_cell_token(tmp_path / "cell.token")
+
+
 @pytest.mark.parametrize("content", [b"{", b"[]", b"{}", b'{"operator": 3}', b"\xff"])
 def test_a_note_of_tokens_that_cannot_be_read_keeps_no_server_from_starting(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], content: bytes
