@@ -285,6 +285,27 @@ def checked_anew(person: Person) -> bool:
     return "not checked yet" not in integrity.inner_text()
 
 
+def test_of_what_was_recorded_within_a_moment_each_record_can_be_shown(
+    server: ServerProcess, people: People, floor: Floor
+) -> None:
+    asked = floor.ask()
+    floor.answer(asked, "deny")
+    floor.settled(asked["id"])
+    told = server.get(f"/v1/invocations/{asked['id']}/trace")["items"]
+    assert len({one["at"] for one in told}) < len(told)
+    wanted = next(one["seq"] for one in told if one["kind"] == "admission")
+    person = people.sit(server)
+    person.page.evaluate(f"location.hash = '#/audit/{asked['id']}/{wanted}'")
+    events = person.region("Events of the session")
+    rows = events.get_by_role("listitem").get_by_role("button")
+    expect(rows.nth([one["seq"] for one in told].index(wanted))).to_have_attribute("aria-current", "step")
+    person.button("Show the record").click()
+    for row, one in zip(rows.all(), told, strict=True):
+        row.click()
+        expect(row).to_have_attribute("aria-current", "step")
+        expect(events.get_by_label(f"Event {one['seq']} as it was recorded")).to_contain_text(one["kind"])
+
+
 @pytest.mark.drawn
 def test_a_trace_follows_its_session_shows_what_is_not_read_yet_as_unknown_and_is_scrubbed_with_its_events(
     server: ServerProcess, people: People, floor: Floor

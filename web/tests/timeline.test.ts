@@ -72,6 +72,12 @@ describe('a timeline', () => {
     expect([-1, 0, 9.9, 10].map((at) => eventAt(found.placed, at))).toEqual([-1, 0, 0, 1]);
   });
 
+  it('finds of what was recorded within a moment the last, or what was picked of it', () => {
+    const { placed } = timelineOf([event(1, 5), event(2, 5), event(3, 5), event(4, 6)], null);
+    expect([null, 1, 2, 3, 4, 9].map((picked) => eventAt(placed, 0, picked))).toEqual([2, 0, 1, 2, 2, 2]);
+    expect([eventAt(placed, 0.5, 1), eventAt(placed, 1, 1), eventAt(placed, -1, 1), eventAt([], 0, 1)]).toEqual([2, 3, -1, -1]);
+  });
+
   it('steps from event to event and stays within its ends', () => {
     const found = timelineOf([event(1, 5, { tick: 1000 }), event(2, 6, { tick: 1500 })], ROWS);
     expect([stepTo(found, 0, 1), stepTo(found, 5, 1), stepTo(found, 10, 1)]).toEqual([5, 10, 10]);

@@ -164,9 +164,12 @@ export function measuredAt(telemetry: Telemetry | null, row: number, zeroS: numb
   return agoS >= -SAME_S && agoS <= goodS;
 }
 
-/** The last event at or before a moment; -1 before the first. */
-export function eventAt(placed: readonly Placed[], atS: number): number {
-  return firstBy(placed, (item) => item.atS > atS + 1e-6) - 1;
+/** The last event at or before a moment, or of those at that very one, the one that was picked; -1 before the first. */
+export function eventAt(placed: readonly Placed[], atS: number, picked: number | null = null): number {
+  const latest = firstBy(placed, (item) => item.atS > atS + SAME_S) - 1;
+  const from = firstBy(placed, (item) => item.atS >= atS - SAME_S);
+  const found = picked === null ? -1 : placed.slice(from, latest + 1).findIndex(({ event }) => event.seq === picked);
+  return found < 0 ? latest : from + found;
 }
 
 /** Where a step goes: to the next or the last moment that something happened, and at the ends, to the end. */
