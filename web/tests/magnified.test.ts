@@ -18,7 +18,7 @@ describe('a page that fingers magnify', () => {
   });
 
   it('is read from side to side, in whichever order', () => {
-    const across = new Across();
+    const across = new Across(390);
     across.read(200, 300);
     expect(across.endPx).toBe(0);
     across.read(0, 150);
@@ -27,5 +27,13 @@ describe('a page that fingers magnify', () => {
     expect(across.endPx).toBe(300);
     across.read(390, 380);
     expect(across.endPx).toBe(300);
+  });
+
+  it('is read anew where it is laid out anew, as when the phone is turned', () => {
+    const across = new Across(390);
+    across.read(0, 390);
+    expect(Across.of(across, 390).endPx).toBe(390);
+    expect(Across.of(across, 844).endPx).toBe(0);
+    expect(Across.of(undefined, 844).endPx).toBe(0);
   });
 });

@@ -35,6 +35,13 @@ export function common(one: Box, other: Box): Box {
 export class Across {
   private stretches: readonly (readonly [number, number])[] = [];
 
+  constructor(private readonly widthPx: number) {}
+
+  /** Goes on with what was read of a line, unless that is laid out anew since: then it is elsewhere. */
+  static of(before: Across | undefined, widthPx: number): Across {
+    return before?.widthPx === widthPx ? before : new Across(widthPx);
+  }
+
   read(fromPx: number, toPx: number): void {
     if (toPx > fromPx) this.stretches = [...this.stretches, [fromPx, toPx] as const].sort(([a], [b]) => a - b);
   }

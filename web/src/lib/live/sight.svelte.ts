@@ -116,7 +116,7 @@ export class Sight {
 
   /** Notes the stretch of a line that was read; returns whether that is all of it by now. */
   private readOf(element: Element, widthPx: number, side: readonly [number, number]): boolean {
-    const across = this.across.get(element) ?? new Across();
+    const across = Across.of(this.across.get(element), widthPx);
     this.across.set(element, across);
     across.read(...side);
     return across.endPx >= widthPx - ROUNDED_PX;
