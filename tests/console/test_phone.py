@@ -261,6 +261,19 @@ def _magnified(person: Person, scale: float) -> CDPSession:
     return fingers
 
 
+def led_to_answer(person: Person) -> None:
+    """Press *Read it first* until all was read and an approval can be given."""
+    approve, read = person.button(re.compile("^Approve")), person.button("Read it first")
+    expect(person.button(re.compile("^Deny"))).to_be_enabled()
+
+    def readies() -> bool:
+        read.evaluate_all(PRESS_ALL)
+        person.page.wait_for_timeout(450)
+        return approve.count() == 1
+
+    until(readies, what="an answer that can be given")
+
+
 def test_of_a_page_that_fingers_magnify_a_little_what_scrolls_in_it_is_read(
     server: ServerProcess, people: People, floor: Floor
 ) -> None:
@@ -268,19 +281,11 @@ def test_of_a_page_that_fingers_magnify_a_little_what_scrolls_in_it_is_read(
     fingers = _magnified(person, 1.1)
     try:
         floor.ask("glass_1", confidence=0.3)
-        approve, read = person.button(re.compile("^Approve")), person.button("Read it first")
-        expect(person.button(re.compile("^Deny"))).to_be_enabled()
-
-        def readies() -> bool:
-            read.evaluate_all(PRESS_ALL)
-            person.page.wait_for_timeout(450)
-            return approve.count() == 1
-
-        until(readies, what="an answer that can be given")
+        led_to_answer(person)
         scrolled, pans = person.page.evaluate("[document.querySelector('#page').scrollTop, visualViewport.offsetTop]")
         assert scrolled > 100 > 10 > pans  # the page moved under the screen, and not the screen over the page
         person.page.evaluate("document.querySelector('#page').scrollTop = document.querySelector('#page').scrollHeight")
-        expect(read).to_be_visible()  # nothing of it is in sight
+        expect(person.button("Read it first")).to_be_visible()  # nothing of it is in sight
     finally:
         fingers.send("Emulation.setPageScaleFactor", {"pageScaleFactor": 1})
         fingers.detach()
@@ -294,15 +299,7 @@ def test_whoever_magnifies_a_phone_that_is_held_sideways_is_led_to_what_the_bar_
     fingers = _magnified(person, scale)
     try:
         floor.ask("glass_1", confidence=0.3)
-        approve, read = person.button(re.compile("^Approve")), person.button("Read it first")
-        expect(person.button(re.compile("^Deny"))).to_be_enabled()
-
-        def readies() -> bool:
-            read.evaluate_all(PRESS_ALL)
-            person.page.wait_for_timeout(450)
-            return approve.count() == 1
-
-        until(readies, what="an answer that can be given")
+        led_to_answer(person)
     finally:
         fingers.send("Emulation.setPageScaleFactor", {"pageScaleFactor": 1})
         fingers.detach()
