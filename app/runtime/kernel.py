@@ -66,7 +66,7 @@ if TYPE_CHECKING:
 log = logging.getLogger(__name__)
 
 ON_DUTY_S: Final = 120.0  # an operator who was heard within this is on duty
-SESSION: Final = "runtime/session"
+SESSION_RULE: Final = "runtime/session"
 LAUNCH_WITHIN_S: Final = 10.0  # a permit not bound by then is worth nothing
 REFUSED_OUTCOME: Final[Mapping[Status, Outcome]] = {
     Status.REJECTED: Outcome.REJECTED,
@@ -449,7 +449,7 @@ class Kernel:
             if anew is None or invocation.capability == TAKEOVER:
                 return  # what has not begun, or a hand, is seen to when the cell is back and knows of neither
             remedy = "once it is back: take it over, or answer"
-            raise GaveWay(Reason(SESSION, error.code, str(error), remedy)) from error
+            raise GaveWay(Reason(SESSION_RULE, error.code, str(error), remedy)) from error
 
     def _launching(
         self, invocation: Invocation, judgement: Judgement, authorization: Authorization, body: str
