@@ -3,12 +3,12 @@ import { svelte } from '@sveltejs/vite-plugin-svelte';
 import { defineConfig } from 'vitest/config';
 import { compressed } from './compressed.ts';
 import { leanFonts } from './fonts.ts';
-import { withoutAnimation } from './lean.ts';
+import { withoutAnimation, withoutOtherShaders } from './lean.ts';
 
 const server = process.env['REINS_SERVER'] ?? 'http://127.0.0.1:8000';
 
 export default defineConfig({
-  plugins: [svelte(), withoutAnimation(), leanFonts(), compressed()],
+  plugins: [svelte(), withoutAnimation(), withoutOtherShaders(), leanFonts(), compressed()],
   build: {
     outDir: fileURLToPath(new URL('../app/console', import.meta.url)),
     emptyOutDir: true,
