@@ -10,12 +10,25 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import expect
 
-from tests.conftest import ServerProcess, Servers
-from tests.console.conftest import DESK, PHONE, ROOT, Floor, People, wider_than_the_screen
+from tests.conftest import ServerProcess, Servers, until
+from tests.console.conftest import (
+    DESK,
+    MAGNIFIED,
+    PHONE,
+    ROOT,
+    SIDEWAYS,
+    Floor,
+    People,
+    out_of_reach,
+    resize,
+    wider_than_the_screen,
+)
+from tests.test_join import Hand, token_of
 
 pytestmark = [pytest.mark.browser, pytest.mark.process]
 MUG = "calibration_weight_holder_mug_0001"
 GLASS = "borosilicate_measuring_glass_with_spout_0042"
+CELL = "workcell-9-at-the-north-line-of-hall-3-b"  # as long as one may be; the next one may end in another letter
 # Whatever stands out of its own box, and so over what is beside it.
 COVERED = """() => [...document.querySelectorAll('main *')].filter((one) => {
     const style = getComputedStyle(one);
@@ -39,6 +52,16 @@ def server(built: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Se
         made.end()
 
 
+@pytest.fixture
+def neighbour(server: ServerProcess, tmp_path: Path) -> Iterator[None]:
+    """Another cell, whose name is long; the server goes on knowing it."""
+    hand = Hand(tmp_path)
+    hand.join(server, token_of(server), "--id", CELL)
+    until(lambda: CELL in [known["id"] for known in server.get("/v1/cells")["items"]], what=f"{CELL} joins")
+    yield
+    hand.end()
+
+
 @pytest.mark.parametrize("size", [DESK, PHONE], ids=["desk", "phone"])
 def test_long_names_stay_within_their_cards(
     server: ServerProcess, people: People, floor: Floor, size: dict[str, int]
@@ -58,3 +81,25 @@ def test_long_names_stay_within_their_cards(
     assert person.page.evaluate(COVERED) == []
     if size == PHONE:
         assert wider_than_the_screen(person.page) == []
+
+
+@pytest.mark.parametrize("size", [DESK, PHONE], ids=["desk", "phone"])
+@pytest.mark.usefixtures("neighbour")
+def test_the_stop_names_its_cell_to_the_last_letter(
+    server: ServerProcess, people: People, size: dict[str, int]
+) -> None:
+    person = people.sit(server, size=size)
+    person.page.get_by_label("Cell", exact=True).select_option(CELL)
+    pressed = person.button(f"Emergency stop: stop {CELL}")
+    for screen in (size,) if size == DESK else (size, SIDEWAYS, MAGNIFIED):
+        resize(person, screen)
+        name = pressed.get_by_text(CELL)
+        expect(name).to_be_visible()
+        wide, room = name.evaluate("(name) => [name.scrollWidth, name.clientWidth]")
+        assert wide <= room
+        at, around = name.bounding_box(), pressed.bounding_box()
+        assert at is not None
+        assert around is not None
+        assert around["y"] <= at["y"]
+        assert at["y"] + at["height"] <= around["y"] + around["height"]
+        assert screen in (DESK, MAGNIFIED) or out_of_reach(pressed) == []
