@@ -106,6 +106,24 @@ def reviewed_later(server: ServerProcess, floor: Floor, stopped: dict[str, Any])
     return stopped
 
 
+def test_arrows_choose_among_the_verdicts_beside_a_trace_and_step_through_it_elsewhere(
+    server: ServerProcess, people: People, stopped: dict[str, Any]
+) -> None:
+    person = people.sit(server)
+    person.page.evaluate(f"location.hash = '#/audit/{stopped['id']}'")
+    person.page.get_by_text("This session waits for a verdict").click()
+    form, moment = person.region("Review").get_by_role("form"), person.region("Replay").get_by_role("slider")
+    person.button("On to the next event").click()
+    stood = moment.input_value()
+    form.get_by_role("radio", name=re.compile("Accepted")).focus()
+    person.press("ArrowRight")
+    expect(form.get_by_role("radio", name=re.compile("Objected"))).to_be_checked()
+    assert moment.input_value() == stood
+    moment.focus()
+    person.press("ArrowRight")
+    expect(moment).not_to_have_value(stood)
+
+
 def test_who_writes_a_note_when_a_question_comes_up_goes_on_writing_and_answers_nothing(
     server: ServerProcess, people: People, floor: Floor, reviewed_later: dict[str, Any]
 ) -> None:

@@ -45,9 +45,9 @@ export function takesKeys(target: Parameters<typeof isTyping>[0]): boolean {
   return takesLetters(target) || ['INPUT', 'SUMMARY'].includes(target?.tagName ?? '');
 }
 
-/** Whether it is the picture of a cell, whose camera arrows turn. */
-export function turnsCamera(target: { tagName?: string } | null): boolean {
-  return target?.tagName === 'CANVAS';
+/** Whether arrows are its own: they turn the camera of the picture of a cell, and choose among verdicts. */
+export function takesArrows(target: { tagName?: string; type?: string } | null): boolean {
+  return target?.tagName === 'CANVAS' || (target?.tagName === 'INPUT' && target.type === 'radio');
 }
 
 /** Whether Space presses what has the focus; a link is followed by Enter alone. */
