@@ -13,6 +13,7 @@ from playwright.sync_api import expect
 from tests.conftest import ServerProcess, Servers, until
 from tests.console.conftest import (
     DESK,
+    DESK_SMALL,
     MAGNIFIED,
     PHONE,
     ROOT,
@@ -53,12 +54,12 @@ def server(built: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Se
 
 
 @pytest.fixture
-def neighbour(server: ServerProcess, tmp_path: Path) -> Iterator[None]:
+def neighbour(server: ServerProcess, tmp_path: Path) -> Iterator[Hand]:
     """Another cell, whose name is long; the server goes on knowing it."""
     hand = Hand(tmp_path)
     hand.join(server, token_of(server), "--id", CELL)
     until(lambda: CELL in [known["id"] for known in server.get("/v1/cells")["items"]], what=f"{CELL} joins")
-    yield
+    yield hand
     hand.end()
 
 
@@ -103,3 +104,21 @@ def test_the_stop_names_its_cell_to_the_last_letter(
         assert around["y"] <= at["y"]
         assert at["y"] + at["height"] <= around["y"] + around["height"]
         assert screen in (DESK, MAGNIFIED) or out_of_reach(pressed) == []
+
+
+def test_a_long_name_moves_nothing_of_the_header_under_the_stop(
+    server: ServerProcess, people: People, floor: Floor, neighbour: Hand
+) -> None:
+    floor.ask(object_id=MUG)  # the header says that it waits
+    person = people.sit(server)
+    person.page.get_by_label("Cell", exact=True).select_option(CELL)
+    neighbour.end()
+    assert server.post(f"/v1/cells/{CELL}/estop").is_success
+    expect(person.page.get_by_role("banner")).to_contain_text("Not heard, stop sent")
+    stop, link = person.button(re.compile("^Emergency stop")), person.page.get_by_text(re.compile(r"^\d+ Hz$"))
+    for screen in (DESK, DESK_SMALL, {"width": 1242, "height": 800}):
+        resize(person, screen)
+        around, at = stop.bounding_box(), link.bounding_box()
+        assert around is not None
+        assert at is not None
+        assert at["x"] + at["width"] <= around["x"]
