@@ -306,6 +306,31 @@ def test_of_what_was_recorded_within_a_moment_each_record_can_be_shown(
         expect(events.get_by_label(f"Event {one['seq']} as it was recorded")).to_contain_text(one["kind"])
 
 
+def test_the_record_that_was_asked_for_stays_in_sight_when_what_was_measured_comes(
+    server: ServerProcess, people: People, floor: Floor
+) -> None:
+    drive = floor.drive_off()
+    floor.settled(drive["id"])
+    until(
+        lambda: server.get(f"/v1/audit/events?invocation={drive['id']}&kind=telemetry")["items"], what="its telemetry"
+    )
+    wanted = server.get(f"/v1/invocations/{drive['id']}/trace")["items"][-1]["seq"]
+    person = people.sit(server, size=DESK_SMALL)
+    row = person.region("Events of the session").locator("[aria-current=step]")
+    with at_once("**/v1/audit/telemetry/*", person):
+        person.page.evaluate(f"location.hash = '#/audit/{drive['id']}/{wanted}'")
+        expect(row).to_be_visible()
+        person.page.evaluate(THREE_FRAMES)
+    expect(person.page.get_by_role("list", name="What was measured")).to_be_visible()
+    person.page.evaluate(THREE_FRAMES)
+    assert (
+        row.evaluate(
+            "(row) => row.closest('section').getBoundingClientRect().bottom - row.getBoundingClientRect().bottom"
+        )
+        >= 0
+    )
+
+
 @pytest.mark.drawn
 def test_a_trace_follows_its_session_shows_what_is_not_read_yet_as_unknown_and_is_scrubbed_with_its_events(
     server: ServerProcess, people: People, floor: Floor
