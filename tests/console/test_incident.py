@@ -306,6 +306,22 @@ def test_a_stop_from_the_fleet_page_that_is_not_confirmed_is_told_on_every_page_
             expect(latched).to_be_visible()  # a new one is news
 
 
+def test_a_banner_on_a_stop_leads_to_the_card_of_its_cell_however_far_down_that_stands(
+    server: ServerProcess, people: People
+) -> None:
+    person = people.sit(server, size=PHONE)
+    person.press("4")
+    expect(
+        person.page.get_by_role("heading", name="workcell-2")
+    ).to_be_visible()  # the page is there at once from now on
+    person.press("1")
+    assert server.post("/v1/cells/workcell-2/estop").is_success
+    person.tap(person.page.get_by_role("link", name="See it on Fleet"))
+    expect(person.page.get_by_role("heading", name="workcell-1")).not_to_be_in_viewport()
+    expect(person.page.get_by_role("heading", name="workcell-2")).to_be_in_viewport()
+    assert server.post("/v1/cells/workcell-2/reset").is_success
+
+
 def test_what_became_of_one_answer_is_put_away_by_a_double_press_and_of_the_other_it_is_still_told(
     server: ServerProcess, people: People, incident: Incident
 ) -> None:
