@@ -308,6 +308,22 @@ def test_the_safe_choice_has_the_focus_however_often_its_first_step_was_pressed_
         expect(here.get_by_role("button", name="Reset…")).to_be_visible()
 
 
+def test_whoever_goes_on_from_the_list_of_keys_to_a_banner_behind_it_sees_the_banner(
+    server: ServerProcess, people: People, floor: Floor
+) -> None:
+    person = people.sit(server)
+    assert server.post("/v1/cells/workcell-1/estop").is_success
+    reset, listed = person.button("Reset…"), person.page.get_by_role("dialog", name="Keys")
+    expect(reset).to_be_visible()
+    person.press("?")
+    expect(listed).to_be_visible()
+    stop(person).focus()
+    expect(listed).to_be_visible()  # it stands beside it
+    person.press("Tab")
+    expect(reset).to_be_focused()
+    expect(listed).to_have_count(0)
+
+
 @SIZES
 def test_the_controls_taken_by_a_double_press_move_nothing_and_end_nothing(
     server: ServerProcess, people: People, floor: Floor, size: dict[str, int]
