@@ -196,6 +196,32 @@ def test_a_reason_that_is_higher_than_the_room_above_the_stop_is_read_to_its_end
     assert floor.settled(asked["id"])["status"] == "running"
 
 
+LONG_REASONS = """const long = new CSSStyleSheet();
+long.replaceSync('article li p i:last-of-type { display: block; margin-top: 1000px; }');
+document.adoptedStyleSheets = [...document.adoptedStyleSheets, long];"""
+
+
+def test_a_reason_that_is_higher_than_the_room_is_not_read_by_its_end_alone(
+    server: ServerProcess, people: People, floor: Floor
+) -> None:
+    floor.ask()
+    person = people.sit(server, size=PHONE, init=LONG_REASONS)
+    approve, lines = person.button(re.compile("^Approve")), person.page.locator("article .body li, article tbody tr")
+    skipped = lines.nth(1)
+
+    def look(line: Locator, block: str) -> None:
+        line.evaluate("(line, block) => line.scrollIntoView({ block })", block)
+        person.page.wait_for_timeout(500)  # longer than what is read has to be there
+
+    for line in lines.all():
+        for block in ("start", "end"):
+            if block == "end" or line.inner_text() != skipped.inner_text():
+                look(line, block)
+    expect(person.button("Read it first")).to_be_visible()
+    look(skipped, "start")
+    expect(approve).to_be_enabled()
+
+
 def test_a_value_that_just_fits_above_the_stop_can_be_read(server: ServerProcess, people: People, floor: Floor) -> None:
     floor.ask()
     person = people.sit(server, size=PHONE)
