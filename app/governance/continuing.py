@@ -32,7 +32,7 @@ from app.governance.policy_model import GOVERNANCE
 from app.governance.recovery import DEFAULT_BUDGET
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
     from app.governance.model import (
         ApprovalNeed,
@@ -167,11 +167,25 @@ def _moved(old: PolicySet, new: PolicySet, proposal: Proposal, context: Context)
         was, now = (places(policy.site).get(kind, {}).get(name) for policy in (old, new))
         if now is not None and now != was:
             found.append(_news("place_changed", f"the {kind} `{name}` is another place in the site now"))
+    found += _ends_otherwise(old, new, proposal, None if gate is None else gate.actions)
     if any(kind == "target" for _, kind, _ in known):
         was, now = barriers(old.site), barriers(new.site)
         others = [name for (kind, name), place in now.items() if was.get((kind, name)) != place]
         found += [_news("place_changed", f"`{name}`, of which it keeps clear, is elsewhere now") for name in others]
     return tuple(found)
+
+
+def _ends_otherwise(
+    old: PolicySet, new: PolicySet, proposal: Proposal, named: tuple[str, str] | None
+) -> Iterator[Reason]:
+    """Yield why what is done with a tool ends in another state by now; what the tool can do besides is no matter."""
+    if named is None:
+        return
+    name, action = (str(proposal.params.get(param)) for param in named)
+    tools = [policy.site.tools.get(name) for policy in (old, new)]
+    was, now = (None if tool is None else tool.actions.get(action) for tool in tools)
+    if now is not None and now != was:
+        yield _news("place_changed", f"`{action}` of the tool `{name}` ends in another state in the site now")
 
 
 def _wanted(

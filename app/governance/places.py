@@ -153,7 +153,7 @@ def places(site: Site) -> Mapping[str, Mapping[str, object]]:
         "surface": _unled(site.surfaces),
         "area": _unled(site.areas),
         "corridor": site.corridors,
-        "tool": _unled(site.tools),
+        "tool": _fixtures(site),
     }
 
 
@@ -164,7 +164,7 @@ def barriers(site: Site) -> Mapping[tuple[str, str], object]:
     what stands still as well.
     """
     restricted = {name: zone.polygon for name, zone in site.zones.items() if zone.kind == "restricted"}
-    found = {"surface": _unled(site.surfaces), "tool": _unled(site.tools), "zone": restricted}
+    found = {"surface": _unled(site.surfaces), "tool": _fixtures(site), "zone": restricted}
     named = {(kind, name): thing for kind, things in found.items() for name, thing in things.items()}
     return {("site", "bounds_m"): site.bounds_m, **named}
 
@@ -172,6 +172,11 @@ def barriers(site: Site) -> Mapping[tuple[str, str], object]:
 def _unled(found: Mapping[str, _Led]) -> dict[str, _Led]:
     """Return things as they stand, whatever leads to them: another name of that moves nothing."""
     return {name: replace(thing, target="") for name, thing in found.items()}
+
+
+def _fixtures(site: Site) -> dict[str, Tool]:
+    """Return tools as they stand: what else can be done with one moves nothing either."""
+    return {name: replace(tool, actions={}) for name, tool in _unled(site.tools).items()}
 
 
 def kinds(site: Site) -> Mapping[str, frozenset[str]]:

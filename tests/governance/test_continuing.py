@@ -189,6 +189,17 @@ def test_another_name_of_the_stand_at_a_place_moves_nothing() -> None:
     assert "place_changed" not in codes(found)
 
 
+def test_what_else_can_be_done_with_a_tool_moves_nothing_and_another_end_of_the_same_does() -> None:
+    drive = Proposal(capability="navigate_to", params={"target": "dock", "clearance_m": 0.3, "speed_mps": 0.3})
+    further = edited(("site.yaml", "push_up: up", "push_up: up, lock: locked"))
+    for runs in (PULL, drive):
+        assert "place_changed" not in codes(between(shipped(), further, runs))
+    other = edited(("site.yaml", "pull_down: down", "pull_down: locked"))
+    found = between(shipped(), other, PULL)
+    assert ("place_changed" in codes(found), found.askable) == (True, False)
+    assert "place_changed" not in codes(between(shipped(), other, drive))
+
+
 def test_goes_on_where_other_places_than_its_own_have_changed() -> None:
     other = edited(
         ("site.yaml", "dock: {x_m: 0.8", "dock: {x_m: 1.0"),
