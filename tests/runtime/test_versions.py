@@ -1056,6 +1056,28 @@ async def test_what_is_bound_anew_under_a_policy_that_gives_way_meanwhile_is_not
         await until(lambda: runtime.desk.pending_for(made["id"]) is not None)
 
 
+async def test_what_somebody_drove_and_left_goes_on_as_the_policy_in_force_binds_it_whatever_bound_it_before(
+    runtime: Runtime, cell: HandCell
+) -> None:
+    before = runtime.kernel.policy.digest
+    await put_in_force(runtime, BLUNTER)
+    made = await running(runtime, cell)
+    await cell.report("launch", made["id"], capability="takeover")
+    await cell.report("escalation", made["id"], reason="control_lapsed", failure="taken_over")
+    launched = len(cell.all("launch"))
+    await runtime.versions.activate(before, ENGINEER, "as it was")
+    await until(lambda: [runtime.desk.outdated(asked) for asked in runtime.desk.pending()] == [None])
+    question = runtime.desk.pending_for(made["id"])
+    assert question is not None
+    assert "watched_tighter" in [why["code"] for why in question.reasons]
+    await cell.state()
+    await runtime.desk.resolve(question.id, OPERATOR, "approve", question.digest)
+    await cell.expect("launch", launched + 1)
+    version = runtime.register.newest(made["id"])
+    assert version is not None
+    assert version.policy_version == before
+
+
 async def test_what_cannot_be_compared_is_held_and_all_others_are_compared(
     runtime: Runtime, cell: HandCell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
