@@ -147,8 +147,7 @@ class Sessions:
             self._desk.hold(*questions)
         for version in story.changed():
             self._keep_control(story.before(version.id), version)
-        for event in events:
-            self._telemetry.note(event)
+        self._telemetry.note(*(event for event in events if event.invocation not in strange))
         for version in story.changed():
             if version.final:
                 self._seal_soon(version, cell)
@@ -207,7 +206,9 @@ class Sessions:
         known = self._register.newest(invocation)
         if known is not None and known.cell != cell:
             raise ProtocolError(f"telemetry of `{invocation}`, which is not an invocation of the cell `{cell}`")
-        return known is not None or self._sealing.get(invocation) == cell
+        if known is None:
+            return self._sealing.get(invocation) == cell
+        return known.status in SESSION
 
     def _seal_soon(self, ended: Invocation, cell: str) -> None:
         self._sealing[ended.id] = cell

@@ -80,8 +80,12 @@ class Telemetry:
             self._writers[invocation] = writer
         return writer
 
-    def note(self, event: UpEvent) -> None:
+    def note(self, *events: UpEvent) -> None:
         """Set what the watcher said and what followed beside the rows, at the newest row's time."""
+        for event in events:
+            self._note(event)
+
+    def _note(self, event: UpEvent) -> None:
         writer = None if event.invocation is None else self._writers.get(event.invocation)
         level = LEVELS.get(event.kind)
         if writer is None or level is None:

@@ -635,6 +635,30 @@ async def test_where_people_and_things_were_goes_into_the_telemetry(runtime: Run
     assert found.bodies["mug_1"].pose == [[1, 2, 3, 1, 0, 0, 0]]
 
 
+async def test_what_waits_for_people_has_no_telemetry(runtime: Runtime, cell: HandCell) -> None:
+    document, _ = await runtime.governor.propose(AGENT, grasp())
+    assert cell.attachment is not None
+    await cell.attachment.receive(pack_batch(document["id"], row(0.0)))
+    seen = {"type": "sighting", "invocation": document["id"], "time_s": 0.0, "people": [], "bodies": {}}
+    await cell.attachment.receive(json.dumps(seen))
+    assert (cell.closed, runtime.telemetry.open()) == (None, [])
+
+
+async def test_nobody_else_writes_into_the_telemetry_of_a_session_that_has_just_ended(
+    runtime: Runtime, cell: HandCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sessions_module, "LAST_ROWS_S", 20.0)
+    name = await running(runtime, cell)
+    other = await HandCell(runtime, id="workcell-2").dial()
+    assert cell.attachment is not None
+    await cell.attachment.receive(pack_batch(name, row(0.0)))
+    await cell.report("outcome", name, outcome="succeeded")
+    await other.report("alert", name, signal="VIOLATION", rule="speed")
+    assert runtime.telemetry.open() == [name]
+    await cell.state()
+    assert (await sealed_telemetry(runtime))["events"] == 0
+
+
 async def test_bad_telemetry_closes_the_link(runtime: Runtime, cell: HandCell) -> None:
     assert cell.attachment is not None
     await cell.attachment.receive(b"RTM1" + bytes(60))
