@@ -535,9 +535,11 @@ class Fleet:
 
         Raises:
             RecordUnavailable: nothing was recorded.
-            ProtocolError: a report the cell may not make.
+            ProtocolError: a report the cell may not make, or another link numbers them in another journal by now.
         """
         async with cell.recording:
+            if journal != cell.journal:  # the log would count them in that one; they are sent again in their own
+                raise ProtocolError(f"another link of `{cell.id}` has the journal `{cell.journal}`")
             # By the `attached` in front of them the log tells which journal reports count in.
             if not await self._register.say_unsaid():
                 raise RecordUnavailable("what came before is not recorded yet")

@@ -18,7 +18,7 @@ from app.runtime import cells as cells_module
 from app.runtime import sessions as sessions_module
 from app.runtime.assembly import Runtime
 from app.runtime.errors import Conflict
-from app.runtime.link import MAX_SHOWN, MAX_WAITING, PROTOCOL_VIOLATION
+from app.runtime.link import MAX_SHOWN, MAX_WAITING, PROTOCOL_VIOLATION, RETRY_S
 from app.runtime.outlet import Outlet
 
 from .conftest import AGENT, AT_BENCH, AUDITOR, CELL, OPERATOR, OPERATOR_2, HandCell, House, grasp, navigate, until
@@ -172,6 +172,30 @@ async def test_a_dead_link_is_replaced(runtime: Runtime, cell: HandCell) -> None
     assert runtime.fleet.cell(CELL).attachment is second.attachment
     told = [event.payload()["link"] for event in await runtime.store.events(kind="cell")]
     assert told == ["attached", "lost", "attached"]
+
+
+async def test_what_a_replaced_link_brought_counts_in_no_other_journal(
+    runtime: Runtime, cell: HandCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    append = runtime.store.append
+
+    async def full(*_: Any) -> None:
+        raise RecordUnavailable("the disk is full")
+
+    await cell.report("cell", what="started")
+    monkeypatch.setattr(runtime.store, "append", full)
+    for _ in range(3):
+        await cell.say(cell.event("cell", what="started"))
+    assert cell.attachment is not None
+    cell.attachment.heard_s -= 2.0
+    second = await HandCell(runtime, journal="jrn-2").dial()
+    await second.expect("welcome")
+    monkeypatch.setattr(runtime.store, "append", append)
+    await second.report("cell", what="started")
+    await asyncio.sleep(1.5 * RETRY_S)
+    await cell.attachment.detach()
+    assert runtime.fleet.cell(CELL).taken == {"jrn-1": 1, "jrn-2": 1}
+    # and the log says so: see `House.open`
 
 
 async def test_a_link_that_hangs_is_closed(runtime: Runtime, cell: HandCell) -> None:
