@@ -28,6 +28,7 @@ ENDING: Final = frozenset(
 )  # after these a session only comes to rest
 PAUSE: Final = "pause"
 SOMEBODY: Final = ""  # an operator whose name is not known any more
+MOST_JOURNALS: Final = 100  # of one cell: how far the log has come in each is written down anew with every report
 KEPT: Final = frozenset({"profile", "estop", "journals"})  # settings of a cell, by what precedes its name
 _WORLD: Final = TypeAdapter(WorldFacts)
 _JOURNALS: Final = TypeAdapter(dict[str, int])
@@ -355,6 +356,14 @@ class Cell:
             "phase": control.phase,
             "refused": None if jog is None else jog.refused,
         }
+
+    def taken_with(self, journal: str, seq: int) -> dict[str, int]:
+        """Return how far the log has come once it holds a report; of many journals those are left out that are older.
+
+        One of those that comes back after all is met like one of which the log has lost what it held.
+        """
+        others = {name: last for name, last in self.taken.items() if name != journal}
+        return dict([*others.items(), (journal, seq)][-MOST_JOURNALS:])
 
     def progress(self, taken: Mapping[str, int], at: str) -> list[RowWrite]:
         """Return the rows that say how far the log has come in the cell's journal, and in those it had before."""

@@ -547,7 +547,7 @@ class Fleet:
             fresh = [event for event in batch if event.seq > known]
             if not fresh:
                 return
-            taken = {**cell.taken, journal: fresh[-1].seq}
+            taken = cell.taken_with(journal, fresh[-1].seq)
             await self._desk.absorb(cell.id, fresh, cell.progress(taken, self._register.now()))
             cell.taken = taken
         for event in fresh:

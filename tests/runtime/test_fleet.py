@@ -1065,6 +1065,24 @@ async def test_a_former_journal_that_comes_back_is_not_taken_twice(house: House)
         assert [word for word in said if word] == ["old 0", "old 1", "old 2", "new", "and on"]
 
 
+async def test_of_many_journals_of_a_cell_the_newest_are_known(house: House, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cells_module, "MOST_JOURNALS", 3)
+    async with house.open() as runtime:
+        for journal in ("jrn-1", "jrn-2", "jrn-3", "jrn-1", "jrn-4"):
+            cell = HandCell(runtime, journal=journal)
+            cell.seq = runtime.fleet.cell(CELL).taken.get(journal, 0) if runtime.fleet.knows(CELL) else 0
+            await cell.dial()
+            await cell.report("cell", what="started")
+            await cell.hang_up()
+        assert runtime.fleet.cell(CELL).taken == {"jrn-3": 1, "jrn-1": 2, "jrn-4": 1}
+    async with house.open() as runtime:
+        assert runtime.fleet.cell(CELL).taken == {"jrn-3": 1, "jrn-1": 2, "jrn-4": 1}
+        assert runtime.register.trouble() is None
+        cell = await HandCell(runtime, journal="jrn-5").dial()
+        await cell.report("cell", what="started")
+        assert set(runtime.fleet.cell(CELL).taken) == {"jrn-1", "jrn-4", "jrn-5"}
+
+
 async def test_a_count_from_before_journals_had_names_goes_on_in_the_first_named(house: House) -> None:
     async with house.open() as first:
         cell = await HandCell(first).dial()
