@@ -76,7 +76,8 @@ REPORTABLE: Final = frozenset({
     EventKind.LAUNCH, EventKind.ALERT, EventKind.INTERVENTION, EventKind.RECOVERY, EventKind.STATUS, EventKind.HUMAN,
     EventKind.ESCALATION, EventKind.OUTCOME, EventKind.CELL,
 })  # fmt: skip
-SERVERS_WORDS: Final = frozenset({*TABLES, WITHDRAWN, "role"})  # a role is a person's: an echo of their word names none
+SERVERS_WORDS: Final = frozenset({*TABLES, WITHDRAWN, "role", "cell"})
+"""What no report holds. A role is a person's: an echo of their word names none. And a cell speaks of itself alone."""
 CODES: Final = frozenset({"op", "what", "reason", "refused", "permit", "failure", "code"})  # what follows goes by these
 
 

@@ -367,6 +367,7 @@ async def test_a_gap_closes_the_link(runtime: Runtime, cell: HandCell) -> None:
         ("alert", {"withdrawn": "esc_1"}),
         ("human", {"op": ["pause"]}),
         ("human", {"op": "pause", "role": "operator"}),
+        ("human", {"op": "reset", "cell": "workcell-2"}),
         ("status", {"status": "running", "reason": {"handed": "back"}}),
         ("launch", {"refused": True}),
     ],
