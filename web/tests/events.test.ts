@@ -26,6 +26,18 @@ describe('where something happened', () => {
   });
 });
 
+describe('what a cell says of its stop', () => {
+  it('names whom the cell names in the words of the cell', () => {
+    const said = (body: LogEvent['body']): string => {
+      const { strong, text } = eventLine(event('cell', body, null, 'workcell-1'));
+      return strong + text;
+    };
+    expect(said({ what: 'estop', actor: 'ann', cell_seq: 4 })).toBe('Emergency stop obeyed, power off, by ann, says workcell-1');
+    expect(said({ what: 'estop', cell_seq: 4 })).toBe('Emergency stop obeyed, power off, by workcell-1');
+    expect(said({ what: 'reset', actor: 'ann', cell_seq: 5 })).toBe('Reset, nothing moved, by ann, says workcell-1');
+  });
+});
+
 describe('what is said of telemetry', () => {
   const said = (body: LogEvent['body']): [string, string] => {
     const { tone, strong, text } = eventLine(event('telemetry', body, 'inv_1', 'server'));

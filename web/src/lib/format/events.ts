@@ -300,9 +300,10 @@ function review(body: Body, event: LogEvent): Line {
 function cell(body: Body, event: LogEvent): Line {
   const op = str(body['what']);
   const link = str(body['link']);
-  const by = str(body['actor']) || event.actor;
+  const named = str(body['actor']);
+  const by = named === '' ? event.actor : `${named}, says ${event.actor}`; // whose word it was stands in the word's own event
   if (op === 'estop') return line('stop', 'danger', ` obeyed, power off, by ${by}`, 'Emergency stop');
-  if (op === 'reset') return line('undo', 'human', ` by ${by}, nothing moved`, 'Reset');
+  if (op === 'reset') return line('undo', 'human', `, nothing moved, by ${by}`, 'Reset');
   if (op === 'not_confirmed') return line('stop', 'danger', `: ${str(body['cell'])} has not said that it heard it, and stays stopped until it does`, 'Reset not confirmed');
   if (op === 'confirmed') return line('undo', 'quiet', `: ${str(body['cell'])} is back and says that it has no stop`, 'Reset confirmed');
   if (link !== '') return line('plug', link === 'lost' ? 'danger' : 'quiet', `Cell link ${link}`);
