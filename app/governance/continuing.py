@@ -8,7 +8,7 @@ say is no news, and what the new one leaves freer touches only what starts later
 |---|---|
 | does not admit it (capability, profile, permission, mode, names), or takes other parameters for it | departs |
 | denies it, or holds its parameters tighter | departs |
-| has something else under a name that says where it works | departs |
+| has something else under a name that says where it works, or in the way of it or of what recovers it | departs |
 | watches it more strictly, recovers it less or otherwise, or has a further phase confirmed | departs |
 | has people asked about what recovers it, denies that, or holds or watches it tighter | departs |
 | wants a human's word that the old one did not want | departs, and one person's word lets it go on |
@@ -19,6 +19,7 @@ A session cannot be bound to other parameters while it runs: what departs in any
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from math import dist
 from typing import TYPE_CHECKING, Final
 
 from app.governance.admission import admit
@@ -26,7 +27,7 @@ from app.governance.authority import need
 from app.governance.coverage import acting_for, recoveries
 from app.governance.guard import check
 from app.governance.model import Admission, AdmissionOutcome, PolicyOutcome, Reason, Strategy
-from app.governance.places import barriers, places
+from app.governance.places import barriers, beside, places
 from app.governance.plans import confirm_before, recovery_plan, watch_plan
 from app.governance.policy_model import GOVERNANCE
 from app.governance.recovery import DEFAULT_BUDGET
@@ -51,6 +52,8 @@ CHANGED: Final = "policy_changed"
 END_IT: Final = "end it, and propose again"
 ANY: Final = "any"
 OTHER_VERSION: Final = "capability_version"
+DRIVES_M: Final = 0.6  # as far as what recovers a session drives by itself, onto a stand that is near
+REACH_M: Final = 1.2  # and as far as the base then reaches
 ACCEPTED: Final = Admission(outcome=AdmissionOutcome.ACCEPT)
 
 
@@ -234,7 +237,7 @@ def _recovered(
 ) -> tuple[Reason, ...]:
     """Return why the new policy would not have the session recovered by what its authorization covers."""
     by_old, by_new = (replace(known, agent=acting_for(known.agent)) for known in (then, context))
-    found = list[Reason]()
+    found = [*_beside(old, new, context)] if covered else list[Reason]()
     for runs in covered:
         if misfits := _misfits(old, new, runs):
             found += misfits
@@ -249,6 +252,24 @@ def _recovered(
         found += news
         found += _watched_tighter(old, new, runs, context)
     return tuple(found)
+
+
+def _beside(old: PolicySet, new: PolicySet, context: Context) -> Iterator[Reason]:
+    """Yield what is elsewhere by now where what recovers a session may drive by itself.
+
+    All that is elsewhere, while nobody knows where the robot is.
+    """
+    facts = context.cell.facts
+    at = None if facts is None else facts.base[:2]
+    was, now = barriers(old.site), barriers(new.site)
+    stands = {(found.x_m, found.y_m, found.yaw_rad) for found in new.site.targets.values()}
+    for name, found in old.site.targets.items():
+        near = at is None or dist(at, (found.x_m, found.y_m)) <= DRIVES_M
+        if near and (found.x_m, found.y_m, found.yaw_rad) not in stands:
+            yield _news("place_changed", f"`{name}`, onto which what recovers it may drive, is elsewhere now")
+    for (kind, name), place in now.items():
+        if was.get((kind, name)) != place and (at is None or beside(at, place, REACH_M)):
+            yield _news("place_changed", f"`{name}`, beside which what recovers it may drive, is elsewhere now")
 
 
 def _unasked(admission: Admission, verdict: Verdict) -> bool:

@@ -7,7 +7,7 @@ edge of a forbidden zone is forbidden, one on the edge of the site or of a surfa
 from __future__ import annotations
 
 from dataclasses import replace
-from math import cos, sin, sqrt
+from math import cos, hypot, sin, sqrt
 from typing import TYPE_CHECKING, Final, NamedTuple, TypeAlias, TypeVar, cast
 
 from app.governance.model import Area, SiteObject, Surface, Tool
@@ -167,6 +167,22 @@ def barriers(site: Site) -> Mapping[tuple[str, str], object]:
     found = {"surface": _unled(site.surfaces), "tool": _fixtures(site), "zone": restricted}
     named = {(kind, name): thing for kind, things in found.items() for name, thing in things.items()}
     return {("site", "bounds_m"): site.bounds_m, **named}
+
+
+def beside(point: Point, thing: object, reach_m: float) -> bool:
+    """Say whether one of `barriers` comes as near to a point as that; of what is no box its bounding box does."""
+    x, y = point
+    match thing:
+        case Surface():
+            half = hypot(thing.half_x_m, thing.half_y_m)
+            x0, y0, x1, y1 = thing.x_m - half, thing.y_m - half, thing.x_m + half, thing.y_m + half
+        case Tool():
+            x0, y0, x1, y1 = thing.x_m, thing.y_m, thing.x_m, thing.y_m
+        case (float(x0), float(y0), float(x1), float(y1)):  # walls, from within
+            return min(x - x0, y - y0, x1 - x, y1 - y) <= reach_m
+        case _:
+            x0, y0, x1, y1, _ = _keepout(cast("tuple[Point, ...]", thing))
+    return hypot(max(x0 - x, 0.0, x - x1), max(y0 - y, 0.0, y - y1)) <= reach_m
 
 
 def _unled(found: Mapping[str, _Led]) -> dict[str, _Led]:

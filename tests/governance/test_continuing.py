@@ -180,6 +180,38 @@ def test_a_zone_that_is_called_as_what_stands_in_it_hides_nothing_that_was_moved
     assert "place_changed" in codes(found)
 
 
+@pytest.mark.parametrize(
+    ("what", "before", "after"),
+    [
+        ("bench_a", "bench_a: {x_m: 1.6, y_m: 5.4", "bench_a: {x_m: 1.6, y_m: 5.3"),
+        ("bench_a_stand", "bench_a_stand: {x_m: 1.6, y_m: 4.6", "bench_a_stand: {x_m: 1.8, y_m: 4.6"),
+        ("lever", "lever, x_m: 3.15, y_m: 0.64", "lever, x_m: 2.5, y_m: 4.6"),
+        (
+            "wet",
+            "zones:\n",
+            "zones:\n  wet: {kind: restricted, polygon: [[0.0, 3.0], [4.0, 3.0], [4.0, 3.5], [0.0, 3.5]]}\n",
+        ),
+        ("bounds_m", "bounds_m: [0.0, 0.0, 8.0, 6.0]", "bounds_m: [0.5, 0.0, 8.0, 6.0]"),
+    ],
+)
+def test_what_stands_departs_when_something_is_in_the_way_of_what_recovers_it(
+    what: str, before: str, after: str
+) -> None:
+    other = edited(("site.yaml", before, after))
+    found = between(shipped(), other, covered=permitted(shipped()))
+    assert what in {why.message.split("`")[1] for why in found.reasons if why.code == "place_changed"}
+    assert not found.askable
+    assert "place_changed" not in codes(between(shipped(), other, covered=())), "nothing recovers it by itself"
+    here = context(HERE)
+    assert here.cell.facts is not None
+    far, unseen = (
+        replace(here, cell=replace(here.cell, facts=facts))
+        for facts in (replace(here.cell.facts, base=(5.5, 1.9, 0.0)), None)
+    )
+    assert "place_changed" not in codes(between(shipped(), other, now=far, covered=permitted(shipped())))
+    assert "place_changed" in codes(between(shipped(), other, now=unseen, covered=permitted(shipped())))
+
+
 def test_another_name_of_the_stand_at_a_place_moves_nothing() -> None:
     renamed = files()
     renamed["site.yaml"] = renamed["site.yaml"].replace("bench_a_stand", "bench_a_front")
