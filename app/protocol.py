@@ -380,6 +380,7 @@ def single(value: float) -> float:
 
 _MAGIC = b"RTM1"
 ROWS_PER_BATCH = 20
+MOST_ROWS = 2048  # of one frame: an alert keeps what came within a second before it, of ticks of 1 ms at the least
 
 
 def pack_batch(invocation: str, rows: bytes) -> bytes:
@@ -397,6 +398,8 @@ def unpack_batch(frame: bytes) -> tuple[str, list[tuple[float, ...]]]:
     magic, count, size, name = HEADER.unpack_from(frame)
     if magic != _MAGIC or size != ROW.size or len(frame) != HEADER.size + count * size:
         raise ProtocolError("telemetry frame does not match its header")
+    if count > MOST_ROWS:
+        raise ProtocolError(f"telemetry frame of `{count}` rows: valid are `{MOST_ROWS}`")
     if not name.isascii():
         raise ProtocolError("telemetry frame names no invocation: valid are ASCII characters")
     return name.rstrip(b"\0").decode("ascii"), list(ROW.iter_unpack(frame[HEADER.size :]))

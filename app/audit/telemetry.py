@@ -53,6 +53,7 @@ Values = tuple[float, ...]
 
 CHUNK_BYTES: Final = 64 * 1024  # a larger chunk stalls whoever shares the interpreter while it is compressed
 MAX_WAITING: Final = 4096
+MAX_WAITING_ROWS: Final = 100_000  # about 0.1 GB, however many of them come at once
 LATEST_S: Final = 1e10  # on a cell's clock; what is later fits no file
 LONGEST_S: Final = 1e8  # from the first row
 POSE_EVERY: Final = 5  # rows; poses are for looking at, every row stands in /telemetry
@@ -148,8 +149,9 @@ class TelemetryWriter:
         if len(set(names)) != len(names) or len(self._row.unpack(bytes(self._row.size))) != len(names):
             raise ValueError(f"`{self._row.format}` does not pack one value for each of the channels {names}")
         self._draft = path.with_name(path.name + ".partial")
-        self._waiting: queue.Queue[Callable[[_Tape], None] | None] = queue.Queue(MAX_WAITING)
+        self._waiting: queue.Queue[tuple[Callable[[_Tape], None], int] | None] = queue.Queue(MAX_WAITING)
         self._dropped = 0
+        self._taken, self._written = 0, 0  # rows and the like: each is counted in one thread alone
         self._error: Exception | None = None
         self._counts = (0, 0)
         try:
@@ -235,18 +237,21 @@ class TelemetryWriter:
         return await asyncio.to_thread(self.close)
 
     def _put(self, work: Callable[[_Tape], None], count: int) -> None:
-        try:
-            self._waiting.put_nowait(work)
-        except queue.Full:
+        if self._waiting.full() or self._taken - self._written + count > MAX_WAITING_ROWS:
             self._dropped += count  # the session goes first; the loss is counted and stands in the record
+            return
+        self._waiting.put_nowait((work, count))  # nobody else puts
+        self._taken += count
 
     def _work(self, file: BinaryIO, channels: tuple[Channel, ...], start_wall_s: float) -> None:
         closed = False
         try:
             with file:
                 tape = _Tape(file, channels, start_wall_s)
-                while (work := self._waiting.get()) is not None:
+                while (given := self._waiting.get()) is not None:
+                    work, count = given
                     work(tape)
+                    self._written += count
                 closed = True
                 tape.finish()
                 file.flush()

@@ -252,8 +252,11 @@ def test_a_full_disk_is_reported_at_the_end(tmp_path: Path, rows: int) -> None:
     assert not (tmp_path / "a.mcap").exists()
 
 
-def test_rows_beyond_what_may_wait_are_dropped_and_counted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("app.audit.telemetry.MAX_WAITING", 3)
+@pytest.mark.parametrize(("bound", "most"), [("MAX_WAITING", 3), ("MAX_WAITING_ROWS", 3000)])
+def test_rows_beyond_what_may_wait_are_dropped_and_counted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, bound: str, most: int
+) -> None:
+    monkeypatch.setattr(f"app.audit.telemetry.{bound}", most)
     os.mkfifo(tmp_path / "a.mcap.partial")
     reader = os.open(tmp_path / "a.mcap.partial", os.O_RDONLY | os.O_NONBLOCK)  # takes 64 kB, then stalls
     writer = open_writer(tmp_path / "a.mcap")

@@ -13,7 +13,7 @@ from app.audit.errors import RecordUnavailable
 from app.audit.event import RowWrite
 from app.audit.telemetry_reading import read_telemetry
 from app.clock import monotonic_s
-from app.protocol import BEAT_MS, CHANNELS, ROW, VERSION, Beat, Hello, Sighting, encode, pack_batch
+from app.protocol import BEAT_MS, CHANNELS, MOST_ROWS, ROW, VERSION, Beat, Hello, Sighting, encode, pack_batch
 from app.runtime import cells as cells_module
 from app.runtime import sessions as sessions_module
 from app.runtime.assembly import Runtime
@@ -688,6 +688,17 @@ async def test_bad_telemetry_closes_the_link(runtime: Runtime, cell: HandCell) -
     assert cell.attachment is not None
     await cell.attachment.receive(b"RTM1" + bytes(60))
     await until(lambda: cell.closed is not None)
+
+
+async def test_a_frame_of_telemetry_has_only_so_many_rows(runtime: Runtime, cell: HandCell) -> None:
+    name = await running(runtime, cell)
+    assert cell.attachment is not None
+    await cell.attachment.receive(pack_batch(name, MOST_ROWS * row(0.0)))
+    assert cell.closed is None
+    await cell.attachment.receive(pack_batch(name, (MOST_ROWS + 1) * row(0.0)))
+    await until(lambda: cell.closed is not None)
+    assert cell.closed is not None
+    assert f"valid are `{MOST_ROWS}`" in cell.closed[1]
 
 
 # -- coming and going ------------------------------------------------------------------------------------------------
