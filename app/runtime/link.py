@@ -53,6 +53,7 @@ MAX_WAITING_EVENTS: Final = 4096
 MAX_WAITING: Final = 16 * 1024 * 1024  # characters of reports that wait for the record
 BATCH_EVENTS: Final = 256
 MAX_SHOWN: Final = 256 * 1024  # characters of a report, a state, or whatever else is not shown once in a link
+MAX_READ: Final = 512 * 1024  # of any text: while a longer one is read, no word reaches any cell
 RETRY_S: Final = 0.5
 DEAD_S: Final = 1.0  # a link that has been silent so long may be replaced
 SILENT_S: Final = 6.0  # and after this it is closed: the socket may hang half open
@@ -220,6 +221,8 @@ class Attachment:
             self.shut(PROTOCOL_VIOLATION, str(error))
 
     async def _take(self, frame: str) -> None:
+        if len(frame) > MAX_READ:
+            raise ProtocolError(f"a message of `{len(frame)}` characters: valid are `{MAX_READ}`")
         message = decode_up(frame)
         if self.hello is None:
             if not isinstance(message, Hello):

@@ -18,7 +18,7 @@ from app.runtime import cells as cells_module
 from app.runtime import sessions as sessions_module
 from app.runtime.assembly import Runtime
 from app.runtime.errors import Conflict
-from app.runtime.link import MAX_SHOWN, MAX_WAITING, PROTOCOL_VIOLATION, RETRY_S
+from app.runtime.link import MAX_READ, MAX_SHOWN, MAX_WAITING, PROTOCOL_VIOLATION, RETRY_S
 from app.runtime.outlet import Outlet
 
 from .conftest import AGENT, AT_BENCH, AUDITOR, CELL, OPERATOR, OPERATOR_2, HandCell, House, grasp, navigate, until
@@ -136,7 +136,7 @@ STATE: dict[str, Any] = {
     [
         ({"people_count": 10**30}, "state.facts"),
         ({"tools": {"lever": [-(2**64)]}}, "state.facts"),
-        ({"tools": {f"lever_{number}": "x" * 1000 for number in range(17_000)}}, "a `state` of `17"),
+        ({"tools": {f"lever_{number}": "x" * 1000 for number in range(400)}}, "a `state` of `4"),
     ],
 )
 async def test_a_state_that_nobody_can_be_told_of_ends_its_link_and_keeps_no_console_out(
@@ -341,6 +341,19 @@ async def test_a_report_has_only_so_many_characters(cell: HandCell) -> None:
     await until(lambda: cell.closed is not None)
     assert cell.closed is not None
     assert f"valid are `{MAX_SHOWN}`" in cell.closed[1]
+
+
+@pytest.mark.parametrize("kind", ["hello", "state", "scene"])
+async def test_what_is_too_long_is_not_read_at_all(runtime: Runtime, cell: HandCell, kind: str) -> None:
+    """Reading 15 MB of numbers took ten seconds, in which nobody could stop any cell."""
+    dialling = HandCell(runtime, id="workcell-2")
+    link = await runtime.fleet.attach(dialling.id, dialling) if kind == "hello" else cell.attachment
+    assert link is not None
+    await link.receive(json.dumps({"type": kind, "scene": {"a": [0] * MAX_READ}}))
+    told = dialling if kind == "hello" else cell
+    await until(lambda: told.closed is not None)
+    assert told.closed is not None
+    assert f"valid are `{MAX_READ}`" in told.closed[1]
 
 
 async def test_a_gap_closes_the_link(runtime: Runtime, cell: HandCell) -> None:
