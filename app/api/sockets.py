@@ -38,6 +38,9 @@ WINDOW_BITS: Final = 15
 # Browsers and cells send hardly any, and tens of thousands in one read would hold up everybody's stop.
 MOST_ASIDE, ASIDE_S = 500, 1.0
 PIECE_BYTES: Final = 4_096  # read at a time: so many bytes are at most 700 frames
+# A cell that was away sends all its reports at once, and a read of 256 KiB holds fewer of them. As many as it holds of
+# what is shorter, one read after the other, would let the leases of all the other cells lapse.
+MOST_AT_ONCE: Final = 2_500
 _QUICKLY: Final = {"level": 1}
 _DEFLATE: Final = PerMessageDeflate(
     remote_no_context_takeover=True,
@@ -127,10 +130,13 @@ class Sockets(WebSocketsSansIOProtocol):
             super().handle_cont(event)
 
     def send_receive_event_to_app(self) -> None:
-        """Hand a message on, unless more wait than a console may say, or it comes behind the last word."""
-        crowded = self.conn.max_message_size == MAX_FRAME_BYTES and self.queue.qsize() > MOST_FRAMES
-        if crowded:
+        """Hand a message on, unless more wait than a console or a cell may say, or it comes behind the last word."""
+        waiting = self.queue.qsize()
+        if self.conn.max_message_size == MAX_FRAME_BYTES and waiting > MOST_FRAMES:
             self.transport.abort()
+        elif not self.close_sent and waiting > MOST_AT_ONCE:
+            self.conn.fail(CloseCode.POLICY_VIOLATION, f"more than {MOST_AT_ONCE} messages at once")
+            self.handle_parser_exception()
         elif not self.close_sent and not self._is_text():
             self.conn.fail(CloseCode.INVALID_DATA, "a text is UTF-8")
             self.handle_parser_exception()

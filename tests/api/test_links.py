@@ -8,11 +8,14 @@ import orjson
 import pytest
 from websockets.asyncio.client import connect
 from websockets.exceptions import ConnectionClosed, InvalidStatus
+from websockets.frames import Frame, Opcode
 
 from app.api import links
 from app.api.auth import issue_token
+from app.api.sockets import MOST_AT_ONCE
 from app.governance.model import Role
 from app.protocol import ROW, ProtocolError, pack_batch, unpack_batch
+from app.runtime.link import Attachment
 from tests.api.conftest import CELL, House
 
 pytestmark = pytest.mark.anyio
@@ -20,6 +23,14 @@ pytestmark = pytest.mark.anyio
 
 def link_url(house: House, name: str = CELL) -> str:
     return house.url.replace("http:", "ws:") + f"/v1/cells/{name}/link"
+
+
+def greeting(name: str) -> str:
+    hello = {
+        "type": "hello", "cell": name, "boot": "b", "robot": "r", "policy_digest": None, "profile": None,
+        "invocation": None, "latched": False, "journal": "j", "last_seq": 0,
+    }  # fmt: skip
+    return orjson.dumps(hello).decode()
 
 
 @pytest.mark.parametrize("key", ["agent", "operator", "operator_2", "engineer", "auditor", None])
@@ -56,16 +67,60 @@ async def test_a_link_on_which_nothing_is_said_ends(house: House, monkeypatch: p
 
 async def test_a_link_ends_with_why_in_whatever_letters_it_was_wrong(house: House) -> None:
     headers = {"Authorization": f"Bearer {house.cell_token}"}
-    hello = {
-        "type": "hello", "cell": "stranger", "boot": "b", "robot": "r", "policy_digest": None, "profile": None,
-        "invocation": None, "latched": False, "journal": "j", "last_seq": 0,
-    }  # fmt: skip
     event = {"type": "event", "seq": 1, "at_s": 0.0, "tick": 0, "kind": "ü" * 200, "actor": "cell"}
     async with connect(link_url(house, "stranger"), additional_headers=headers, proxy=None) as socket:
-        await socket.send(orjson.dumps(hello).decode())
+        await socket.send(greeting("stranger"))
         await socket.send(orjson.dumps({**event, "invocation": None, "body": {}}).decode())
         await asyncio.wait_for(socket.wait_closed(), 10.0)
-    assert (socket.close_code, socket.close_reason[:26]) == (1002, "a cell does not report `üü")
+    assert (socket.close_code, (socket.close_reason or "")[:26]) == (1002, "a cell does not report `üü")
+
+
+@pytest.mark.parametrize(("count", "stays"), [(MOST_AT_ONCE - 500, True), (3 * MOST_AT_ONCE, False)])
+async def test_a_link_ends_that_says_more_at_once_than_a_cell_may(house: House, count: int, stays: bool) -> None:
+    headers = {"Authorization": f"Bearer {house.cell_token}"}
+    async with connect(link_url(house, "flood"), additional_headers=headers, proxy=None, ping_interval=None) as socket:
+        await socket.send(greeting("flood"))
+        await socket.recv()
+        beats = [Frame(Opcode.TEXT, b'{"type":"beat","n":%d}' % n).serialize(mask=True) for n in range(count)]
+        socket.transport.write(b"".join(beats))
+        ended = False
+        try:
+            async with asyncio.timeout(20.0):
+                while f'"n":{count - 1}' not in str(await socket.recv()):
+                    pass
+        except ConnectionClosed:  # without a word, where some of what it said was never read
+            ended = True
+    assert ended is not stays
+
+
+async def test_what_waits_of_one_link_leaves_the_others_their_turn(
+    house: House, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    order, receive = list[str](), Attachment.receive
+
+    async def taking(attachment: Attachment, frame: str | bytes) -> None:
+        order.append("m")
+        await receive(attachment, frame)
+
+    async def beside() -> None:
+        while True:
+            order.append(" ")
+            await asyncio.sleep(0)
+
+    monkeypatch.setattr(links, "TURN_S", -1.0)  # which every message takes
+    monkeypatch.setattr(Attachment, "receive", taking)
+    headers = {"Authorization": f"Bearer {house.cell_token}"}
+    async with connect(link_url(house, "flood"), additional_headers=headers, proxy=None) as socket:
+        await socket.send(greeting("flood"))
+        await socket.recv()
+        other = asyncio.create_task(beside())
+        order.clear()
+        socket.transport.write(1000 * Frame(Opcode.TEXT, b'{"type":"beat","n":1}').serialize(mask=True))
+        async with asyncio.timeout(20.0):
+            while order.count("m") < 1000:
+                await asyncio.sleep(0.01)
+        other.cancel()
+    assert max(map(len, "".join(order).split(" "))) < 10
 
 
 @pytest.mark.parametrize("name", [b"inv_\xff", "übung".encode()])
