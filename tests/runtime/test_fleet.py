@@ -15,6 +15,7 @@ from app.audit.telemetry_reading import read_telemetry
 from app.clock import monotonic_s
 from app.protocol import BEAT_MS, CHANNELS, MOST_ROWS, ROW, VERSION, Beat, Hello, Sighting, encode, pack_batch
 from app.runtime import cells as cells_module
+from app.runtime import register as register_module
 from app.runtime import sessions as sessions_module
 from app.runtime.assembly import Runtime
 from app.runtime.errors import Conflict
@@ -196,6 +197,34 @@ async def test_what_a_replaced_link_brought_counts_in_no_other_journal(
     await cell.attachment.detach()
     assert runtime.fleet.cell(CELL).taken == {"jrn-1": 1, "jrn-2": 1}
     # and the log says so: see `House.open`
+
+
+async def test_links_that_come_and_go_push_nothing_else_out_of_what_waits_for_the_record(
+    house: House, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def full(*_: Any) -> None:
+        raise RecordUnavailable("the disk is full")
+
+    monkeypatch.setattr(register_module, "MAX_UNSAID", 3)
+    async with house.open() as runtime:
+        first, other = await HandCell(runtime).dial(), await HandCell(runtime, id="workcell-2").dial()
+        await first.report("cell", what="started")
+        await first.hang_up()
+        with monkeypatch.context() as disk:
+            disk.setattr(runtime.store, "append", full)
+            second = await HandCell(runtime, journal="jrn-2").dial()
+            await runtime.governor.estop(CELL, OPERATOR)
+            for _ in range(5):
+                await other.hang_up()
+                other = await HandCell(runtime, id="workcell-2").dial()
+        await second.report("cell", what="started")
+        assert len(await runtime.store.events(kind="human")) == 1
+        assert runtime.fleet.cell(CELL).taken == {"jrn-1": 1, "jrn-2": 1}
+        said = [event.payload() for event in await runtime.store.events(kind="cell") if "said_at" in event.payload()]
+        assert [body["link"] for body in said] == ["attached", "attached"]
+    # and the log counts the reports in their journals: see `House.open`
+    async with house.open() as runtime:
+        assert runtime.fleet.cell(CELL).taken == {"jrn-1": 1, "jrn-2": 1}
 
 
 async def test_a_link_that_hangs_is_closed(runtime: Runtime, cell: HandCell) -> None:
