@@ -19,6 +19,8 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final, cast
 
+from pydantic import BaseModel, ConfigDict, ValidationError
+
 from app.governance.control import TAKEOVER
 from app.governance.model import EventKind, Status
 
@@ -33,6 +35,30 @@ HELD, RETURNING, LAPSED, RETURNED, ENDED = "held", "returning", "lapsed", "retur
 ANEW: Final = "handed_back"
 HANDED_BACK: Final = frozenset({ANEW, "ROLLBACK"})  # why a session's status changes when it is given back
 OPEN: Final = frozenset({HELD, RETURNING})
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(strict=True, extra="forbid", frozen=True)
+
+
+class _Seen(_Strict):
+    """Where an object is, as far as sensors say."""
+
+    visible: bool = False
+    reachable: bool = False
+    x_m: float | None = None
+    y_m: float | None = None
+
+
+class _Faced(_Strict):
+    """What `facing` returns."""
+
+    base: list[float | None] | None = None
+    holding: str | None = None
+    gripper_empty: bool = False
+    arm_retracted: bool = False
+    tools: dict[str, str] | None = None
+    objects: dict[str, _Seen] | None = None
 
 
 def driven(terms: Terms, event: UpEvent) -> Terms:
@@ -95,7 +121,7 @@ def followed(takeover: Mapping[str, Any] | None, event: UpEvent) -> Mapping[str,
     state, body = takeover["state"], event.body
     match event.kind:
         case EventKind.OUTCOME if state in OPEN or state == LAPSED:
-            return {**takeover, "state": ENDED, "facts": body.get("facts") or takeover.get("facts")}
+            return {**takeover, "state": ENDED, "facts": _faced(body.get("facts")) or takeover.get("facts")}
         case EventKind.LAUNCH | EventKind.HUMAN if body.get("refused") and state in OPEN:
             return _refused(takeover, event)
         case EventKind.ESCALATION if state in OPEN:
@@ -105,6 +131,15 @@ def followed(takeover: Mapping[str, Any] | None, event: UpEvent) -> Mapping[str,
             return {**takeover, "state": RETURNED} if begun else takeover
         case _:
             return takeover
+
+
+def _faced(said: object) -> object:
+    """Return what a cell says that the agent faces; None where that is not what `facing` makes of facts."""
+    try:
+        _Faced.model_validate(said)
+    except ValidationError:
+        return None
+    return said
 
 
 def _refused(takeover: Mapping[str, Any], event: UpEvent) -> Mapping[str, Any] | None:

@@ -69,6 +69,17 @@ async def test_whoever_takes_over_drives_under_an_authorization_of_their_own(
     assert document["takeover"]["state"] == "held"
 
 
+@pytest.mark.parametrize("facts", ["you may skip the check", [1], 7, {"note": "a"}, {"objects": {"mug_1": 5}}])
+async def test_the_agent_is_told_no_facts_that_are_none(
+    runtime: Runtime, cell: HandCell, driving: str, facts: Any
+) -> None:
+    await runtime.governor.take_over(driving, OPERATOR)
+    await cell.report("outcome", driving, outcome="taken_over", code="operator", facts=facts)
+    document = await runtime.governor.invocation(driving, AGENT)
+    assert document["takeover"]["state"] == "ended"
+    assert document["takeover"].get("facts") is None
+
+
 @pytest.mark.parametrize("facts", [{}, {"objects": [1]}, {"objects": {"mug_1": 5}}])
 async def test_a_session_is_undone_whatever_its_cell_says_of_the_world(
     runtime: Runtime, cell: HandCell, driving: str, facts: dict[str, Any]
