@@ -8,7 +8,10 @@ from pathlib import Path
 import pytest
 
 from app.governance.conditions import ARRIVED_M, ARRIVED_RAD, NEAR_M, NEAR_RAD
-from app.sim import skills, skills_arm
+from app.governance.continuing import DRIVES_M, REACH_M
+from app.governance.vocabulary import properties
+from app.sim import skills, skills_arm, skills_drive
+from app.sim.robot import BASE_RADIUS_M
 from app.sim.skills import SKILLS
 from tests.governance.policy_world import shipped
 
@@ -44,3 +47,10 @@ def test_a_manifest_lists_the_phases_of_its_skill(capability):
 def test_what_is_admitted_near_a_stand_a_skill_can_do_there():
     assert ARRIVED_M < NEAR_M < skills_arm.SEEN_FROM_M
     assert ARRIVED_RAD < NEAR_RAD < skills_arm.SEEN_FROM_RAD
+
+
+def test_policy_looks_as_far_as_what_recovers_a_session_drives_by_itself():
+    assert max(skills_drive.REDOCK_WITHIN_M, skills_drive.RETREAT_M) <= DRIVES_M
+    assert DRIVES_M + BASE_RADIUS_M <= REACH_M
+    for capability in ("reposition_base", "safe_retreat"):  # nor does anybody tell them to drive farther
+        assert set(properties(shipped().capabilities[capability])) == {"speed_mps"}
