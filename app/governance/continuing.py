@@ -27,7 +27,7 @@ from app.governance.authority import need
 from app.governance.coverage import acting_for, recoveries
 from app.governance.guard import check
 from app.governance.model import Admission, AdmissionOutcome, PolicyOutcome, Reason, Strategy
-from app.governance.places import barriers, beside, places
+from app.governance.places import beside, moved, places
 from app.governance.plans import confirm_before, recovery_plan, watch_plan
 from app.governance.policy_model import GOVERNANCE
 from app.governance.recovery import DEFAULT_BUDGET
@@ -172,9 +172,8 @@ def _moved(old: PolicySet, new: PolicySet, proposal: Proposal, context: Context)
             found.append(_news("place_changed", f"the {kind} `{name}` is another place in the site now"))
     found += _ends_otherwise(old, new, proposal, None if gate is None else gate.actions)
     if any(kind == "target" for _, kind, _ in known):
-        was, now = barriers(old.site), barriers(new.site)
-        others = [name for (kind, name), place in now.items() if was.get((kind, name)) != place]
-        found += [_news("place_changed", f"`{name}`, of which it keeps clear, is elsewhere now") for name in others]
+        others = moved(old.site, new.site)
+        found += [_news("place_changed", f"`{name}`, of which it keeps clear, is elsewhere now") for name, _ in others]
     return tuple(found)
 
 
@@ -261,14 +260,13 @@ def _beside(old: PolicySet, new: PolicySet, context: Context) -> Iterator[Reason
     """
     facts = context.cell.facts
     at = None if facts is None else facts.base[:2]
-    was, now = barriers(old.site), barriers(new.site)
     stands = {(found.x_m, found.y_m, found.yaw_rad) for found in new.site.targets.values()}
     for name, found in old.site.targets.items():
         near = at is None or dist(at, (found.x_m, found.y_m)) <= DRIVES_M
         if near and (found.x_m, found.y_m, found.yaw_rad) not in stands:
             yield _news("place_changed", f"`{name}`, onto which what recovers it may drive, is elsewhere now")
-    for (kind, name), place in now.items():
-        if was.get((kind, name)) != place and (at is None or beside(at, place, REACH_M)):
+    for name, place in moved(old.site, new.site):
+        if at is None or beside(at, place, REACH_M):
             yield _news("place_changed", f"`{name}`, beside which what recovers it may drive, is elsewhere now")
 
 

@@ -169,6 +169,12 @@ def barriers(site: Site) -> Mapping[tuple[str, str], object]:
     return {("site", "bounds_m"): site.bounds_m, **named}
 
 
+def moved(old: Site, new: Site) -> list[tuple[str, object]]:
+    """Return those of `barriers` that are where none of their kind was before, by name: another name moves nothing."""
+    stood = [(kind, place) for (kind, _), place in barriers(old).items()]
+    return [(name, place) for (kind, name), place in barriers(new).items() if (kind, place) not in stood]
+
+
 def beside(point: Point, thing: object, reach_m: float) -> bool:
     """Say whether one of `barriers` comes as near to a point as that; of what is no box its bounding box does."""
     x, y = point
@@ -186,8 +192,8 @@ def beside(point: Point, thing: object, reach_m: float) -> bool:
 
 
 def _unled(found: Mapping[str, _Led]) -> dict[str, _Led]:
-    """Return things as they stand, whatever leads to them: another name of that moves nothing."""
-    return {name: replace(thing, target="") for name, thing in found.items()}
+    """Return things as they stand, whatever they are called, and what leads to them: another name moves nothing."""
+    return {name: replace(thing, name="", target="") for name, thing in found.items()}
 
 
 def _fixtures(site: Site) -> dict[str, Tool]:

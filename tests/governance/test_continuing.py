@@ -221,6 +221,27 @@ def test_another_name_of_the_stand_at_a_place_moves_nothing() -> None:
     assert "place_changed" not in codes(found)
 
 
+@pytest.mark.parametrize(
+    "runs", [GRASP, Proposal(capability="navigate_to", params={"target": "dock", "clearance_m": 0.3, "speed_mps": 0.3})]
+)
+def test_another_name_of_what_is_in_the_way_moves_nothing(runs: Proposal) -> None:
+    wet, puddle = (
+        (
+            "site.yaml",
+            "zones:\n",
+            f"zones:\n  {name}: {{kind: restricted, polygon: [[0, 3], [4, 3], [4, 3.5], [0, 3.5]]}}\n",
+        )
+        for name in ("wet", "puddle")
+    )
+    assert "place_changed" in codes(between(shipped(), edited(wet), runs, covered=permitted(shipped())))
+    assert "place_changed" not in codes(between(edited(wet), edited(puddle), runs, covered=permitted(shipped())))
+    renamed = bundle.load_files(
+        {name: text.replace("bench_a:", "bench_c:") for name, text in files().items()}
+        | {"site.yaml": files()["site.yaml"].replace("bench_a:", "bench_c:").replace("bench_a,", "bench_c,")}
+    )
+    assert "place_changed" not in codes(between(shipped(), renamed, runs, covered=permitted(shipped())))
+
+
 def test_what_else_can_be_done_with_a_tool_moves_nothing_and_another_end_of_the_same_does() -> None:
     drive = Proposal(capability="navigate_to", params={"target": "dock", "clearance_m": 0.3, "speed_mps": 0.3})
     further = edited(("site.yaml", "push_up: up", "push_up: up, lock: locked"))
