@@ -7,7 +7,7 @@ edge of a forbidden zone is forbidden, one on the edge of the site or of a surfa
 from __future__ import annotations
 
 from dataclasses import replace
-from math import cos, hypot, sin, sqrt
+from math import cos, hypot, inf, sin, sqrt
 from typing import TYPE_CHECKING, Final, NamedTuple, TypeAlias, TypeVar, cast
 
 from app.governance.model import Area, SiteObject, Surface, Tool
@@ -170,9 +170,17 @@ def barriers(site: Site) -> Mapping[tuple[str, str], object]:
 
 
 def moved(old: Site, new: Site) -> list[tuple[str, object]]:
-    """Return those of `barriers` that are where none of their kind was before, by name: another name moves nothing."""
+    """Return those of `barriers` that are where none of their kind was before, by name: another name moves nothing.
+
+    Of the site's bounds a wall that stands where it stood is infinitely far.
+    """
     stood = [(kind, place) for (kind, _), place in barriers(old).items()]
-    return [(name, place) for (kind, name), place in barriers(new).items() if (kind, place) not in stood]
+    found = [(name, place) for (kind, name), place in barriers(new).items() if (kind, place) not in stood]
+    away = (-inf, -inf, inf, inf)
+    walls = tuple(
+        there if now == was else now for now, was, there in zip(new.bounds_m, old.bounds_m, away, strict=True)
+    )
+    return [(name, walls if place == new.bounds_m else place) for name, place in found]
 
 
 def beside(point: Point, thing: object, reach_m: float) -> bool:

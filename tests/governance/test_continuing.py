@@ -242,6 +242,16 @@ def test_another_name_of_what_is_in_the_way_moves_nothing(runs: Proposal) -> Non
     assert "place_changed" not in codes(between(shipped(), renamed, runs, covered=permitted(shipped())))
 
 
+@pytest.mark.parametrize(("bounds", "holds"), [("0.0, 0.0, 9.0, 6.0", False), ("0.1, 0.0, 9.0, 6.0", True)])
+def test_a_wall_that_stands_where_it_stood_is_in_nobodys_way(bounds: str, holds: bool) -> None:
+    other = edited(("site.yaml", "bounds_m: [0.0, 0.0, 8.0, 6.0]", f"bounds_m: [{bounds}]"))
+    here = context(HERE)
+    assert here.cell.facts is not None
+    at_dock = replace(here, cell=replace(here.cell, facts=replace(here.cell.facts, base=(0.8, 0.8, 0.0))))
+    found = between(shipped(), other, now=at_dock, covered=permitted(shipped()))
+    assert ("place_changed" in codes(found)) is holds
+
+
 def test_what_else_can_be_done_with_a_tool_moves_nothing_and_another_end_of_the_same_does() -> None:
     drive = Proposal(capability="navigate_to", params={"target": "dock", "clearance_m": 0.3, "speed_mps": 0.3})
     further = edited(("site.yaml", "push_up: up", "push_up: up, lock: locked"))
