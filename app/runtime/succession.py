@@ -75,6 +75,7 @@ class Succession:
         self._policies: dict[str, PolicySet] = {}  # those that live sessions run under
         self._under_way: set[asyncio.Task[None]] = set()
         kernel.outlived = self.outlived
+        kernel.sent = self.sent
         kernel.abandon = self.abandon
         desk.kept_back = self.kept_back
         desk.decide_again = self.decide_again
@@ -234,12 +235,13 @@ class Succession:
         context = self._kernel.context(launching.capability, launching.agent, launching)
         covered = launching.terms.recoveries
         found = self._kernel.departure(judgement.policy, proposal, context, covered)
-        if found:
-            return (OVERTAKEN, *found.reasons)
-        if anew:  # what was said meanwhile was of what it was bound to before
+        return (OVERTAKEN, *found.reasons) if found else ()
+
+    def sent(self, launching: Invocation, judgement: Judgement, anew: bool) -> None:
+        """Note that a launch was sent: what was said meanwhile of one that binds `anew` was of what bound it before."""
+        if anew and launching.capability != TAKEOVER and judgement.policy is not self._kernel.policy:
             self._desk.departures.conform(launching.id, [])
             self._desk.departures.holds(launching.id)
-        return ()
 
     def abandon(self, name: str, reasons: tuple[Reason, ...]) -> None:
         """End what was recorded as launched and never was; nothing has moved, and nobody drives it."""

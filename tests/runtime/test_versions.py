@@ -7,6 +7,7 @@ import base64
 import json
 import re
 import sqlite3
+from collections.abc import Awaitable, Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -912,7 +913,12 @@ async def test_who_let_a_session_go_on_is_not_asked_the_same_with_the_next_quest
     assert runtime.desk.outdated(question) is None
 
 
-def first(runtime: Runtime, digest: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def first(
+    runtime: Runtime,
+    digest: str,
+    monkeypatch: pytest.MonkeyPatch,
+    meanwhile: Callable[[], Awaitable[None]] | None = None,
+) -> None:
     """Have a version come into force before whatever is recorded next, which was decided before that."""
     append = runtime.store.append
 
@@ -921,6 +927,8 @@ def first(runtime: Runtime, digest: str, monkeypatch: pytest.MonkeyPatch) -> Non
         changing = asyncio.create_task(runtime.versions.activate(digest, ENGINEER_2, "at once"))
         await until(lambda: runtime.kernel.policy.digest == digest)
         changing.add_done_callback(lambda done: done.result())
+        if meanwhile is not None:
+            await meanwhile()
         return await append(*given)
 
     monkeypatch.setattr(runtime.store, "append", behind)
@@ -1076,6 +1084,27 @@ async def test_what_somebody_drove_and_left_goes_on_as_the_policy_in_force_binds
     version = runtime.register.newest(made["id"])
     assert version is not None
     assert version.policy_version == before
+
+
+async def test_what_stands_against_a_session_stands_still_where_what_binds_it_anew_is_not_sent(
+    runtime: Runtime, cell: HandCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before = runtime.kernel.policy.digest
+    blunter = await put_in_force(runtime, BLUNTER)
+    made = await running(runtime, cell)
+    await cell.report("launch", made["id"], capability="takeover")
+    await cell.report("escalation", made["id"], reason="control_lapsed", failure="taken_over")
+    await runtime.versions.activate(before, ENGINEER, "as it was")
+    await until(lambda: [runtime.desk.outdated(asked) for asked in runtime.desk.pending()] == [None])
+    question, departures = runtime.desk.pending_for(made["id"]), runtime.desk.departures
+    assert question is not None
+    await cell.state()
+    first(runtime, await brought(runtime, FORBIDDEN), monkeypatch, meanwhile=cell.hang_up)
+    await runtime.desk.resolve(question.id, OPERATOR, "approve", question.digest)
+    version = runtime.register.newest(made["id"])
+    assert version is not None
+    assert version.policy_version == blunter, "it is bound by what it was bound by"
+    assert "watched_tighter" in [why["code"] for why in departures.standing(made["id"]) or ()]
 
 
 async def test_what_cannot_be_compared_is_held_and_all_others_are_compared(
