@@ -599,3 +599,23 @@ def test_what_takes_no_press_can_be_told_where_the_system_chooses_the_colours(
     for drawn in ("color", "borderTopColor"):
         read = f"(one) => getComputedStyle(one).{drawn}"
         assert pause.evaluate(read) != resume.evaluate(read)
+
+
+def test_an_answer_of_policy_is_marked_once_the_cell_is_stopped(
+    server: ServerProcess, people: People, floor: Floor
+) -> None:
+    person = people.sit(server)
+    person.press("3")
+    form = person.region("What would happen if…")
+    form.get_by_label("Capability").select_option("navigate_to")
+    form.get_by_label("Target").select_option("dock")
+    form.get_by_role("button", name="Ask policy").click()
+    expect(form).to_contain_text("Policy version")
+    expect(form).not_to_contain_text("Ask again")
+    assert server.post(f"{CELL}/estop").is_success
+    expect(form).to_contain_text("workcell-1 is not as it was when this was asked. Ask again.")
+    form.get_by_role("button", name="Ask policy").click()
+    expect(form).to_contain_text("“workcell-1” is stopped and latched.")
+    expect(form).not_to_contain_text("Ask again")
+    until(floor.unlatched, what="a cell that no stop latches")
+    expect(form).to_contain_text("workcell-1 is not as it was when this was asked. Ask again.")
