@@ -619,3 +619,22 @@ def test_an_answer_of_policy_is_marked_once_the_cell_is_stopped(
     expect(form).not_to_contain_text("Ask again")
     until(floor.unlatched, what="a cell that no stop latches")
     expect(form).to_contain_text("workcell-1 is not as it was when this was asked. Ask again.")
+
+
+@pytest.mark.parametrize("size", [DESK, PHONE], ids=["desk", "phone"])
+def test_a_list_of_changes_says_that_it_goes_on_until_its_end_is_in_sight(
+    server: ServerProcess, people: People, size: dict[str, int]
+) -> None:
+    person = people.sit(server, "engineer", size=size)
+    person.page.evaluate("location.hash = '#/fleet'")
+    card = person.region("workcell-1")
+    card.get_by_label("Profile").select_option("sim-relaxed")
+    card.get_by_role("button", name="Change…").click()
+    changes, more = card.get_by_role("group", name="What changes"), card.get_by_text("more below")
+    expect(more).to_be_visible()
+    changes.focus()
+    person.press("End")
+    expect(more).to_have_count(0)
+    expect(changes.get_by_role("row").last).to_be_in_viewport()
+    person.press("Home")
+    expect(more).to_be_visible()
