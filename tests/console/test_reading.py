@@ -638,3 +638,24 @@ def test_a_list_of_changes_says_that_it_goes_on_until_its_end_is_in_sight(
     expect(changes.get_by_role("row").last).to_be_in_viewport()
     person.press("Home")
     expect(more).to_be_visible()
+
+
+def test_a_name_of_a_capability_is_broken_where_words_end(server: ServerProcess, people: People) -> None:
+    person = people.sit(server, size=PHONE)
+    person.page.evaluate("location.hash = '#/policy'")
+    name = person.page.get_by_role("rowheader", name="release_and_retract").locator(".name")
+    expect(name).to_be_visible()
+    lines = name.evaluate(
+        """(name) => { const range = document.createRange(), lines = new Map();
+        const texts = document.createTreeWalker(name, NodeFilter.SHOW_TEXT);
+        while (texts.nextNode()) for (let at = 0; at < texts.currentNode.length; at += 1) {
+            range.setStart(texts.currentNode, at);
+            range.setEnd(texts.currentNode, at + 1);
+            const { top } = range.getBoundingClientRect();
+            lines.set(top, (lines.get(top) ?? '') + range.toString());
+        }
+        return [...lines.values()]; }"""
+    )
+    assert "".join(lines) == "release_and_retract"
+    assert len(lines) > 1
+    assert [line[-1] for line in lines[:-1]] == ["_"] * (len(lines) - 1)
