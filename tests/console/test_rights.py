@@ -169,3 +169,11 @@ def test_a_hand_whose_token_goes_is_off_the_robot_and_the_next_person_finds_noth
     expect(person.region("Waiting for you")).to_be_visible()
     expect(person.alert("You have lost the controls.")).to_have_count(0)
     expect(person.region("Drive by hand")).to_have_count(0)
+
+
+def test_what_is_not_for_whoever_looks_does_not_look_as_if_it_were(server: ServerProcess, people: People) -> None:
+    person = people.sit(server, "engineer", size=PHONE)
+    drive, menu = person.button("Drive"), person.button("Menu")
+    expect(drive).to_be_disabled()
+    color = "(button) => getComputedStyle(button).color"
+    assert drive.evaluate(color) != menu.evaluate(color)
