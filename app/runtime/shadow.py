@@ -110,6 +110,8 @@ class Shadow:
     async def set(self, digest: str, principal: Principal, why: str, *, on: bool) -> dict[str, Any]:
         """Begin with a candidate, in the place of another one, or end with it; return what was found.
 
+        Begun once more it goes on: what it has found is not lost by somebody who did not know that it had begun.
+
         Raises:
             NotFound: there is no such version.
             RecordUnavailable: nothing has changed.
@@ -117,11 +119,12 @@ class Shadow:
         version = await self._versions.load(digest)
         now = self._register.now()
         said = version.event("shadow_begun" if on else "shadow_ended", principal.name, reason=why)
+        found = self.document(digest)
+        if found["on"] is on:
+            return found
         if not on:
-            found = self.document(digest)
-            if found["on"]:
-                await self._register.append([said], [_setting(None, now)])
-                self._now = None
+            await self._register.append([said], [_setting(None, now)])
+            self._now = None
             return {**found, "on": False}
         policy = await self._versions.compiled(digest)
         kept = {"digest": digest, "by": principal.name, "why": why}

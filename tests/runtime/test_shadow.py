@@ -37,6 +37,19 @@ async def test_what_a_candidate_would_decide_is_recorded_and_changes_nothing(run
     assert "shadow" not in {event["kind"] for event in await runtime.governor.trace(made["id"], ENGINEER)}
 
 
+async def test_a_shadow_that_is_begun_once_more_keeps_what_it_has_found(runtime: Runtime, cell: HandCell) -> None:
+    digest = await brought(runtime, FORBIDDEN)
+    await runtime.shadow.set(digest, ENGINEER, "a look", on=True)
+    await cell.state()
+    await runtime.governor.propose(AGENT, grasp())
+    before = runtime.shadow.document(digest)
+    again = await runtime.shadow.set(digest, replace(ENGINEER, name="another"), "a look too", on=True)
+    assert again == before == runtime.shadow.document(digest)
+    assert (again["decisions"], again["differing"]) == (1, 1)
+    begun = [body for body in await bodies(runtime, "policy_version") if body["op"] == "shadow_begun"]
+    assert len(begun) == 1
+
+
 async def test_an_agent_is_permitted_what_the_candidate_permits(runtime: Runtime, cell: HandCell) -> None:
     less = edited(
         ORGANIZATION, "permissions: [navigation, perception, manipulation", "permissions: [navigation, perception"
