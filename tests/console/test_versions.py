@@ -273,6 +273,20 @@ def test_words_that_turn_their_line_around_are_marked_where_another_gives_the_se
     expect(view).not_to_contain_text("\u202e")
 
 
+def test_a_shadow_that_another_engineer_begins_and_ends_is_shown_by_itself(
+    changing: ServerProcess, people: People
+) -> None:
+    path = f"/v1/policies/{kept(changing, 'grip_force_n: {max: 77,', 'for the shadow')}"
+    engineer = seat(people, changing, "engineer")
+    engineer.page.evaluate(f"location.hash = '#/policy/Versions/{path.rpartition('/')[2]}'")
+    view = engineer.page.get_by_role("region", name=re.compile("^Version "))
+    expect(view).to_contain_text("Not in the shadow")
+    for on, offered in ((True, "End the shadow"), (False, "Ask it in the shadow")):
+        said = {"on": on, "why": "a look"}
+        assert changing.post(f"{path}/shadow", said, key="engineer_2").is_success
+        expect(view.get_by_role("button", name=offered)).to_be_visible()
+
+
 def kept(server: ServerProcess, bound: str, why: str) -> str:
     """Bring what is in force with another bound; returns its digest."""
     active = server.get("/v1/policies/active")["version"]
