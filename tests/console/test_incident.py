@@ -493,6 +493,7 @@ def test_on_a_phone_a_question_that_comes_or_goes_moves_no_pause_and_no_pad_and_
     incident.drive("workcell-1", target="dock")
     pause = person.button("Pause")
     expect(pause).to_be_enabled()
+    expect(person.button("Roll back")).to_be_visible()  # which comes with what the cell says first, and takes a third
     stands = box(pause)
     incident.ask("workcell-2", "operate_tool", tool="press", action="press")
     expect(deny(person)).to_be_visible()
