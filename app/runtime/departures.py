@@ -39,9 +39,11 @@ class Departures:
     # -- comparing ---------------------------------------------------------------------------------------------------
 
     def conform(self, session: str, reasons: Sequence[Why]) -> None:
-        """Note that a session departs for no other reasons than these any more."""
+        """Note that a session departs for no other reasons than these any more; for none, it need not hold."""
         before = (*self.over(session), *self._standing.pop(session, ()))
         self._over[session] = _but(before, reasons)
+        if not reasons:
+            self.holds(session)
 
     def depart(self, session: str, reasons: Iterable[Why], told_s: float | None = None) -> None:
         """Note why a session departs, and when it was told to hold (`clock.monotonic_s`), if it was told so now."""

@@ -1156,6 +1156,19 @@ async def test_a_launch_on_its_way_is_held_as_soon_as_the_cell_has_it(runtime: R
     await until(lambda: cell.ops().count("escalate") >= 2)
 
 
+async def test_a_launch_on_its_way_is_held_for_no_policy_that_gave_way_before_its_cell_had_it(
+    runtime: Runtime, cell: HandCell
+) -> None:
+    before = runtime.kernel.policy.digest
+    made, _ = await runtime.governor.propose(AGENT, navigate())
+    await runtime.versions.activate(await brought(runtime, SLOWER), ENGINEER, "a visitor")
+    await until(lambda: cell.ops() == ["escalate"])
+    for engineer in (ENGINEER, ENGINEER_2):
+        await runtime.versions.activate(before, engineer, "gone")
+    await cell.launched(made["id"])
+    assert runtime.desk.departures.telling() == ()
+
+
 async def test_nobody_is_given_the_controls_of_an_idle_cell_by_a_policy_that_gave_way_meanwhile(
     runtime: Runtime, cell: HandCell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
