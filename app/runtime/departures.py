@@ -92,10 +92,6 @@ class Departures:
         """Return the sessions of which anything is known."""
         return frozenset((*self._standing, *self._over))
 
-    def bound(self, session: str) -> None:
-        """Forget what stood against a session: it is bound by the policy in force."""
-        self._standing.pop(session, None)
-
     def forget(self, session: str) -> None:
         """Forget a session that is over."""
         self._standing.pop(session, None)

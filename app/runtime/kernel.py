@@ -275,7 +275,6 @@ class Kernel:
         self._key = signing_key
         self._operator_heard_s: float | None = None
         self.outlived: Callable[[Invocation, Judgement, bool], tuple[Reason, ...]] = lambda _, __, ___: ()
-        self.sent: Callable[[Invocation, Judgement, bool], None] = lambda _, __, ___: None
         self.abandon: Callable[[str, tuple[Reason, ...]], None] = lambda _, __: None
         self.standing: Callable[[Cell | None], tuple[Grant, ...]] = lambda _: ()
         self.enforce(policy)
@@ -451,7 +450,6 @@ class Kernel:
                 return  # what has not begun, or a hand, is seen to when the cell is back and knows of neither
             remedy = "once it is back: take it over, or answer"
             raise GaveWay(Reason(SESSION_RULE, error.code, str(error), remedy)) from error
-        self.sent(launching.invocation, judgement, anew is not None)
 
     def _launching(
         self, invocation: Invocation, judgement: Judgement, authorization: Authorization, body: str

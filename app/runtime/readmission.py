@@ -161,6 +161,7 @@ async def going_on(
         elif why[0].code != OFFLINE:
             why = [each._replace(remedy=remedy) for each in why]
         raise await _not_sent(desk, present, op, why) from error
+    desk.departures.conform(present.id, [])  # what was said until now was of what bound it before
 
 
 async def _not_sent(desk: Questions, before: Invocation, op: str, reasons: Sequence[Reason]) -> Conflict:

@@ -75,7 +75,6 @@ class Succession:
         self._policies: dict[str, PolicySet] = {}  # those that live sessions run under
         self._under_way: set[asyncio.Task[None]] = set()
         kernel.outlived = self.outlived
-        kernel.sent = self.sent
         kernel.abandon = self.abandon
         desk.kept_back = self.kept_back
         desk.decide_again = self.decide_again
@@ -205,14 +204,12 @@ class Succession:
                 self._restrain(present)
 
     def _forget(self) -> None:
-        """Forget how sessions departed that are over, or were let go on under the policy in force."""
-        departures, policy = self._desk.departures, self._kernel.policy.digest
+        """Forget how sessions departed that are over."""
+        departures = self._desk.departures
         for name in departures.sessions():
             present = self._register.newest(name)
             if present is None or present.status not in SESSION:
                 departures.forget(name)
-            elif present.policy_version == policy:
-                departures.bound(name)
 
     # -- what was decided before and recorded after --------------------------------------------------------------------
 
@@ -236,12 +233,6 @@ class Succession:
         covered = launching.terms.recoveries
         found = self._kernel.departure(judgement.policy, proposal, context, covered)
         return (OVERTAKEN, *found.reasons) if found else ()
-
-    def sent(self, launching: Invocation, judgement: Judgement, anew: bool) -> None:
-        """Note that a launch was sent: what was said meanwhile of one that binds `anew` was of what bound it before."""
-        if anew and launching.capability != TAKEOVER and judgement.policy is not self._kernel.policy:
-            self._desk.departures.conform(launching.id, [])
-            self._desk.departures.holds(launching.id)
 
     def abandon(self, name: str, reasons: tuple[Reason, ...]) -> None:
         """End what was recorded as launched and never was; nothing has moved, and nobody drives it."""

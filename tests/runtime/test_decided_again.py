@@ -387,6 +387,21 @@ async def test_what_goes_on_under_a_policy_that_gave_way_is_not_asked_what_was_s
     await until(lambda: cell.ops()[-1] == "resolve_continue")
 
 
+async def test_what_is_bound_anew_is_not_asked_what_was_said_of_what_bound_it_before_however_soon_it_asks(
+    runtime: Runtime, cell: HandCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(runtime.succession, "hold_again", lambda: None)  # it looks every 0.2 s: not in between
+    await put_in_force(runtime, edited(SHARED, "sensitivity: 0.9", "sensitivity: 0.8"))
+    session = await approved(runtime, cell, OPERATOR)
+    await put_in_force(runtime, FILES)
+    await taken(runtime, cell, session)
+    await handed_back(runtime, cell, session)
+    await cell.report("status", session, status="escalated", reason="separation")
+    question = runtime.desk.pending_for(session)
+    assert question is not None
+    assert (codes(question), runtime.desk.outdated(question)) == ({"separation"}, None)
+
+
 async def test_a_session_that_said_that_it_holds_is_not_told_again_though_it_went_on_at_once(
     runtime: Runtime, cell: HandCell, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -65,8 +65,9 @@ def test_a_session_is_told_until_it_holds_and_is_known_until_it_is_over(departur
     assert departures.telling() == (("s", 3.0),)
     departures.holds("s")
     assert departures.telling() == ()
-    departures.bound("s")
-    assert departures.standing("s") is None
+    departures.tell("s", 3.0)
+    departures.conform("s", [])
+    assert (departures.standing("s"), departures.telling()) == (None, ())
     assert departures.sessions() == {"s"}
     departures.forget("s")
     assert departures.sessions() == frozenset()
