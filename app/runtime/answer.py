@@ -293,7 +293,9 @@ class Answer:
         closed = self._escalation.evolve(now, status=APPROVED, approvals=(approval,))
         if anew:
             return await self._go_on_anew(cell, closed, decided)
+        answered = self._questions.departures.standing(self._invocation.id)
         await self._commit_session("approve", closed)
+        self._questions.departures.let_go(self._invocation.id, answered)
         # Only who was asked about a phase confirms one: the cell may wait for a word that is not known here yet.
         op = "resolve_continue" if closed.phase is None else "confirm"
         word = Human(invocation=self._invocation.id, op=op, actor=self._principal.name)

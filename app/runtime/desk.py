@@ -165,9 +165,7 @@ class Desk(Questions):
             answer = Answer(self, entry.newest, present, principal, comment, grant, first)
             match present.kind, decision:
                 case "session", "approve":
-                    answered = self.departures.standing(present.invocation)
                     final = await answer.go_on(params)
-                    self.departures.let_go(present.invocation, answered)
                 case "session", _:
                     final = await answer.end(why)
                 case _, "approve":

@@ -1107,6 +1107,31 @@ async def test_what_stands_against_a_session_stands_still_where_what_binds_it_an
     assert "watched_tighter" in [why["code"] for why in departures.standing(made["id"]) or ()]
 
 
+async def test_what_stands_against_a_session_stands_still_where_its_cell_never_heard_that_it_may_go_on(
+    runtime: Runtime, cell: HandCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before = runtime.kernel.policy.digest
+    await put_in_force(runtime, BLUNTER)
+    made = await running(runtime, cell)
+    await cell.report("launch", made["id"], capability="takeover")
+    await cell.report("escalation", made["id"], reason="control_lapsed", failure="taken_over")
+    await runtime.versions.activate(before, ENGINEER, "as it was")
+    await until(lambda: [runtime.desk.outdated(asked) for asked in runtime.desk.pending()] == [None])
+    question, append = runtime.desk.pending_for(made["id"]), runtime.store.append
+    assert question is not None
+    await cell.state()
+
+    async def behind(*given: Any) -> Any:
+        monkeypatch.setattr(runtime.store, "append", append)
+        await cell.hang_up()
+        return await append(*given)
+
+    monkeypatch.setattr(runtime.store, "append", behind)
+    await runtime.desk.resolve(question.id, OPERATOR, "approve", question.digest)
+    standing = runtime.desk.departures.standing(made["id"])
+    assert "watched_tighter" in [why["code"] for why in standing or ()]
+
+
 async def test_what_cannot_be_compared_is_held_and_all_others_are_compared(
     runtime: Runtime, cell: HandCell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
