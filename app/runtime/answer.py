@@ -285,13 +285,12 @@ class Answer:
         _not_driven(cell, self._invocation)
         self._register.check_undamaged()
         decided = cell.moment
-        anew = lapsed(self._invocation)  # then what bound it before is of no matter: all of it is decided again
-        if not anew and (reasons := self._questions.kept_back(self._invocation)):
+        if reasons := self._questions.kept_back(self._invocation):
             raise Conflict("resume_refused", "the policy in force does not let it go on; valid: deny", reasons=reasons)
         now = self._register.now()
         approval = {"by": self._principal.name, "at": now, "digest": self._escalation.digest}
         closed = self._escalation.evolve(now, status=APPROVED, approvals=(approval,))
-        if anew:
+        if lapsed(self._invocation):
             return await self._go_on_anew(cell, closed, decided)
         answered = self._questions.departures.standing(self._invocation.id)
         await self._commit_session("approve", closed)

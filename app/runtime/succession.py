@@ -36,6 +36,7 @@ from app.runtime.hands import over
 from app.runtime.invocation import reasons_document
 from app.runtime.kernel import ANOTHER_PROFILE, EDITED
 from app.runtime.kernel import CHANGED as CONDITIONS_CHANGED
+from app.runtime.readmission import lapsed
 from app.runtime.recollection import events_of
 from app.runtime.uncut import uncut
 from app.runtime.version import UNREADABLE
@@ -118,7 +119,12 @@ class Succession:
         return self._kernel.departure(self._policies.get(present.policy_version), proposal, context, covered)
 
     def kept_back(self, present: Invocation) -> list[dict[str, str]]:
-        """Return why nobody may let a session go on; empty where a human's word is enough."""
+        """Return why nobody may let a session go on; empty where a human's word is enough.
+
+        Nothing keeps back what somebody has driven: before it goes on all of it is decided again.
+        """
+        if lapsed(present):
+            return []
         found = self.departure(present)
         return [] if found.askable else reasons_document(found.reasons)
 

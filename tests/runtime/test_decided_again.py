@@ -421,6 +421,18 @@ async def test_a_session_that_said_that_it_holds_is_not_told_again_though_it_wen
     assert (control.holder, control.phase) == (OPERATOR.name, "held")
 
 
+async def test_whoever_drives_what_had_departed_drives_on_after_a_pause(runtime: Runtime, cell: HandCell) -> None:
+    session = await approved(runtime, cell, OPERATOR)
+    await put_in_force(runtime, NO_RETREAT)
+    await taken(runtime, cell, session)
+    await cell.report("status", session, status="running", reason="taken_over")
+    await runtime.governor.pause(session, OPERATOR)
+    await cell.report("human", session, op="pause")
+    await cell.report("status", session, status="paused", reason="operator")
+    await runtime.governor.resume(session, OPERATOR)
+    await until(lambda: cell.ops() == ["escalate", "pause", "resume"])
+
+
 async def test_an_answer_after_a_lapse_is_not_sent_when_its_grant_ends_while_it_is_recorded(
     runtime: Runtime, cell: HandCell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
