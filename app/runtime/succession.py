@@ -32,7 +32,7 @@ from app.runtime.drafts import SERVER, escalation_event, outcome_event, reason
 from app.runtime.errors import InvalidParams
 from app.runtime.escalation import APPROVAL, PROFILE_CHANGED, WITHDRAWN, bound_digest
 from app.runtime.grant import REVOKED, GrantEnded
-from app.runtime.hands import over
+from app.runtime.hands import OPEN, over
 from app.runtime.invocation import reasons_document
 from app.runtime.kernel import ANOTHER_PROFILE, EDITED
 from app.runtime.kernel import CHANGED as CONDITIONS_CHANGED
@@ -205,9 +205,14 @@ class Succession:
             present = self._register.newest(name)
             if present is None or present.status not in SESSION or present.status is Status.ESCALATED:
                 departures.holds(name)
-            elif present.terms.confirmed and now_s - told_s >= _again_s(present.status):
+            elif present.terms.confirmed and not self._in_hand(present) and now_s - told_s >= _again_s(present.status):
                 departures.tell(name, now_s)
                 self._restrain(present)
+
+    def _in_hand(self, present: Invocation) -> bool:
+        """Say whether somebody has taken a session over, by the record: they drive on, held to `Cell.hands` alone."""
+        held = (present.takeover or {}).get("state") in OPEN
+        return held and self._fleet.cell(present.cell or "").driven(present.id)
 
     def _forget(self) -> None:
         """Forget how sessions departed that are over."""

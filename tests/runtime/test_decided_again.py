@@ -433,6 +433,26 @@ async def test_whoever_drives_what_had_departed_drives_on_after_a_pause(runtime:
     await until(lambda: cell.ops() == ["escalate", "pause", "resume"])
 
 
+async def test_whoever_takes_over_what_departed_while_it_recovers_keeps_the_controls(
+    runtime: Runtime, cell: HandCell
+) -> None:
+    await put_in_force(runtime, edited(SHARED, "sensitivity: 0.9", "sensitivity: 0.8"))
+    session = await approved(runtime, cell, OPERATOR)
+    await cell.report("status", session, status="recovering", reason="RETRY")
+    await put_in_force(runtime, FILES)
+    await until(lambda: cell.ops() == ["escalate"])
+    await runtime.governor.take_over(session, OPERATOR)
+    await cell.report("launch", session, capability="takeover")
+    await cell.report("status", session, status="running", reason="taken_over")
+    await asyncio.sleep(3 * AGAIN_S)
+    control = runtime.fleet.cell(CELL).control
+    assert control is not None
+    assert (control.holder, control.phase) == (OPERATOR.name, "held")
+    await handed_back(runtime, cell, session)
+    await asyncio.sleep(3 * AGAIN_S)
+    assert cell.ops() == ["escalate"], "nothing stands against what is bound anew"
+
+
 async def test_an_answer_after_a_lapse_is_not_sent_when_its_grant_ends_while_it_is_recorded(
     runtime: Runtime, cell: HandCell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
