@@ -78,6 +78,8 @@ def departure(
     proposal: Proposal,
     context: Context,
     covered: Sequence[CoveredRecovery] | None = None,
+    *,
+    led: bool = False,
 ) -> Departure:
     """Say how a running session departs from another policy. Pure.
 
@@ -88,6 +90,7 @@ def departure(
         context: Γ_t now, the agent as the new policy knows it; whether the cell is busy does not matter.
         covered: the recoveries that its authorization covers, whatever the world was like then; None where they are
             not known: then what the old policy would have covered in the world as it is now.
+        led: a human has driven it: what undoes it goes back as far as that led.
     """
     if misfits := _misfits(old, new, proposal):  # nothing could be asked about those
         return Departure(reasons=misfits)
@@ -105,7 +108,7 @@ def departure(
         *_held(verdict, said, taken),
         *_moved(old, new, proposal, context),
         *_watched(old, new, proposal, context),
-        *_recovered(old, new, _covered(old, proposal, then, covered), then, context),
+        *_recovered(old, new, _covered(old, proposal, then, covered), then, context, led=led),
     )
     refused = tuple(dict.fromkeys(refused))  # a watch rule may be of the session and of what recovers it
     if refused:
@@ -232,11 +235,11 @@ def _covered(
 
 
 def _recovered(
-    old: PolicySet, new: PolicySet, covered: list[Proposal], then: Context, context: Context
+    old: PolicySet, new: PolicySet, covered: list[Proposal], then: Context, context: Context, *, led: bool
 ) -> tuple[Reason, ...]:
     """Return why the new policy would not have the session recovered by what its authorization covers."""
     by_old, by_new = (replace(known, agent=acting_for(known.agent)) for known in (then, context))
-    found = [*_beside(old, new, context)] if covered else list[Reason]()
+    found = [*_beside(old, new, context, led=led)] if covered else list[Reason]()
     for runs in covered:
         if misfits := _misfits(old, new, runs):
             found += misfits
@@ -253,10 +256,10 @@ def _recovered(
     return tuple(found)
 
 
-def _beside(old: PolicySet, new: PolicySet, context: Context) -> Iterator[Reason]:
+def _beside(old: PolicySet, new: PolicySet, context: Context, *, led: bool) -> Iterator[Reason]:
     """Yield what is elsewhere by now where what recovers a session may drive by itself.
 
-    All that is elsewhere, while nobody knows where the robot is.
+    All that is elsewhere, while nobody knows where the robot is, or how far back its way leads.
     """
     facts = context.cell.facts
     at = None if facts is None else facts.base[:2]
@@ -266,7 +269,7 @@ def _beside(old: PolicySet, new: PolicySet, context: Context) -> Iterator[Reason
         if near and (found.x_m, found.y_m, found.yaw_rad) not in stands:
             yield _news("place_changed", f"`{name}`, onto which what recovers it may drive, is elsewhere now")
     for name, place in moved(old.site, new.site):
-        if at is None or beside(at, place, REACH_M):
+        if led or at is None or beside(at, place, REACH_M):
             yield _news("place_changed", f"`{name}`, beside which what recovers it may drive, is elsewhere now")
 
 

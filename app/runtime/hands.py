@@ -95,6 +95,11 @@ def given_back(takeover: Mapping[str, Any], then: str, facts: Mapping[str, Any] 
     return {**kept, "state": RETURNING, "then": then, "facts": None if facts is None else facing(facts)}
 
 
+def led(takeover: Mapping[str, Any] | None) -> bool:
+    """Say whether a human has driven a session which may be its own again: what undoes it goes all their way back."""
+    return takeover is not None and takeover["state"] != HELD
+
+
 def over(takeover: Mapping[str, Any] | None) -> Mapping[str, Any] | None:
     """Return what a document says once the session has ended: nobody has its controls any more."""
     if takeover is None or takeover["state"] not in (*OPEN, LAPSED):

@@ -377,13 +377,15 @@ class Kernel:
         proposal: Proposal,
         context: Context,
         covered: Sequence[CoveredRecovery] | None = None,
+        *,
+        led: bool = False,
     ) -> Departure:
         """Say how what was authorized under another policy departs from the one in force.
 
         What cannot be compared departs: whatever is wrong with that, all others have to be compared as well, and held.
         """
         try:
-            return departure(old, self.policy, proposal, context, covered)
+            return departure(old, self.policy, proposal, context, covered, led=led)
         except Exception as error:
             log.exception("`%s` cannot be compared with the policy in force", proposal.capability)
             return not_comparable(error)

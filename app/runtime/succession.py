@@ -32,7 +32,7 @@ from app.runtime.drafts import SERVER, escalation_event, outcome_event, reason
 from app.runtime.errors import InvalidParams
 from app.runtime.escalation import APPROVAL, PROFILE_CHANGED, WITHDRAWN, bound_digest
 from app.runtime.grant import REVOKED, GrantEnded
-from app.runtime.hands import OPEN, over
+from app.runtime.hands import OPEN, led, over
 from app.runtime.invocation import reasons_document
 from app.runtime.kernel import ANOTHER_PROFILE, EDITED
 from app.runtime.kernel import CHANGED as CONDITIONS_CHANGED
@@ -116,7 +116,8 @@ class Succession:
         proposal = present.proposal(dict(present.effective or {}))
         context = self._kernel.context(present.capability, present.agent, present)
         covered = present.terms.recoveries
-        return self._kernel.departure(self._policies.get(present.policy_version), proposal, context, covered)
+        former = self._policies.get(present.policy_version)
+        return self._kernel.departure(former, proposal, context, covered, led=led(present.takeover))
 
     def kept_back(self, present: Invocation) -> list[dict[str, str]]:
         """Return why nobody may let a session go on; empty where a human's word is enough.
@@ -242,7 +243,7 @@ class Succession:
         proposal = launching.proposal(dict(launching.effective or {}))
         context = self._kernel.context(launching.capability, launching.agent, launching)
         covered = launching.terms.recoveries
-        found = self._kernel.departure(judgement.policy, proposal, context, covered)
+        found = self._kernel.departure(judgement.policy, proposal, context, covered, led=anew)
         return (OVERTAKEN, *found.reasons) if found else ()
 
     def abandon(self, name: str, reasons: tuple[Reason, ...]) -> None:

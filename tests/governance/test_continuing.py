@@ -64,10 +64,11 @@ def between(
     what: Proposal = GRASP,
     now: Context | None = None,
     covered: tuple[CoveredRecovery, ...] | None = None,
+    **named: Any,
 ) -> Departure:
     """Ask as the runtime does: the agent is the one that the new policy knows."""
     now = now or context(HERE)
-    return departure(old, new, what, replace(now, agent=new.agent("planner")), covered)
+    return departure(old, new, what, replace(now, agent=new.agent("planner")), covered, **named)
 
 
 def codes(found: Departure) -> list[str]:
@@ -210,6 +211,13 @@ def test_what_stands_departs_when_something_is_in_the_way_of_what_recovers_it(
     )
     assert "place_changed" not in codes(between(shipped(), other, now=far, covered=permitted(shipped())))
     assert "place_changed" in codes(between(shipped(), other, now=unseen, covered=permitted(shipped())))
+
+
+@pytest.mark.parametrize("led", [False, True])
+def test_what_a_hand_has_led_departs_when_something_is_anywhere_in_its_way_back(led: bool) -> None:
+    found = between(shipped(), edited(("site.yaml", *WET)), covered=permitted(shipped()), led=led)
+    assert ("place_changed" in codes(found)) is led
+    assert not between(shipped(), edited(("site.yaml", *WET)), covered=(), led=led), "nothing undoes it by itself"
 
 
 def test_another_name_of_the_stand_at_a_place_moves_nothing() -> None:

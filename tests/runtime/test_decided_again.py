@@ -453,6 +453,21 @@ async def test_whoever_takes_over_what_departed_while_it_recovers_keeps_the_cont
     assert cell.ops() == ["escalate"], "nothing stands against what is bound anew"
 
 
+@pytest.mark.parametrize("driven", [False, True])
+async def test_what_a_hand_has_led_is_held_where_something_is_anywhere_in_its_way_back(
+    runtime: Runtime, cell: HandCell, driven: bool
+) -> None:
+    session = await approved(runtime, cell, OPERATOR)
+    if driven:
+        await taken(runtime, cell, session)
+        await handed_back(runtime, cell, session)
+    wet = "  wet: {kind: restricted, polygon: [[1.0, 1.5], [4.0, 1.5], [4.0, 2.5], [1.0, 2.5]]}\n"
+    files = edited("site.yaml", "zones:\n", f"zones:\n{wet}")
+    await put_in_force(runtime, {name: text for name, text in files.items() if not name.startswith("tests/")})
+    standing = runtime.desk.departures.standing(session)
+    assert [why["code"] for why in standing or ()] == ["place_changed"] * driven
+
+
 async def test_an_answer_after_a_lapse_is_not_sent_when_its_grant_ends_while_it_is_recorded(
     runtime: Runtime, cell: HandCell, monkeypatch: pytest.MonkeyPatch
 ) -> None:

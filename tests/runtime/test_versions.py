@@ -1143,10 +1143,10 @@ async def test_what_cannot_be_compared_is_held_and_all_others_are_compared(
     second, _ = await runtime.governor.propose(AGENT, elsewhere)
     await other.launched(second["id"])
 
-    def broken(old: PolicySet, new: PolicySet, proposal: Proposal, *rest: Any) -> Departure:
+    def broken(old: PolicySet, new: PolicySet, proposal: Proposal, *rest: Any, **named: Any) -> Departure:
         if proposal.params["target"] == "dock":
             raise KeyError("device")
-        return departure(old, new, proposal, *rest)
+        return departure(old, new, proposal, *rest, **named)
 
     monkeypatch.setattr(kernel, "departure", broken)
     await put_in_force(runtime, SLOWER)
