@@ -363,7 +363,7 @@ def _stricter(old: WatchPlan, new: WatchPlan) -> list[str]:
         ("sensitivity is", new.sensitivity > old.sensitivity),
         ("the time it may take is", new.timeout_s < old.timeout_s),
         ("separation is", new.separation != old.separation and new.separation is not None),
-        ("a forbidden zone is", any(zone not in old.zones for zone in new.zones)),
+        ("a forbidden zone is", not {zone.polygon for zone in new.zones} <= {zone.polygon for zone in old.zones}),
         ("the age of what sensors say is", _fresher(old, new)),
         ("what has to hold afterwards is", not set(new.postconditions) <= set(old.postconditions)),
         ("braking is", new.base_deceleration_mps2 != old.base_deceleration_mps2),

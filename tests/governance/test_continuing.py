@@ -250,6 +250,11 @@ def test_another_name_of_what_is_in_the_way_moves_nothing(runs: Proposal) -> Non
     assert "place_changed" not in codes(between(shipped(), renamed, runs, covered=permitted(shipped())))
 
 
+def test_another_name_of_what_is_forbidden_moves_nothing() -> None:
+    renamed = edited(("site.yaml", "press_area: {kind: forbidden", "hot_area: {kind: forbidden"))
+    assert between(shipped(), renamed, covered=permitted(shipped())) is CONFORMS
+
+
 @pytest.mark.parametrize(("bounds", "holds"), [("0.0, 0.0, 9.0, 6.0", False), ("0.1, 0.0, 9.0, 6.0", True)])
 def test_a_wall_that_stands_where_it_stood_is_in_nobodys_way(bounds: str, holds: bool) -> None:
     other = edited(("site.yaml", "bounds_m: [0.0, 0.0, 8.0, 6.0]", f"bounds_m: [{bounds}]"))
@@ -357,7 +362,7 @@ STRICTER = {
     "separation is": lambda: with_profile(separation=replace(SEPARATION, intrusion_m=0.3)),
     "a forbidden zone is": lambda: replace(
         shipped(),
-        site=replace(shipped().site, zones={**shipped().site.zones, "more": replace(ZONE, name="more")}),
+        site=replace(shipped().site, zones={**shipped().site.zones, "more": replace(ZONE, polygon=ZONE.polygon[:3])}),
     ),
     "the age of what sensors say is": lambda: with_profile(stale_after_ms={**AGES, "arm": AGES["arm"] - 1}),
     "what has to hold afterwards is": lambda: with_capability(postconditions=("object_secured", "arm_retracted")),
