@@ -7,6 +7,7 @@ candidate is a difference as well, and reaches nobody else.
 
 from __future__ import annotations
 
+import asyncio
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Final
@@ -103,6 +104,7 @@ class Shadow:
         """Take where differences are recorded, and where candidates are."""
         self._register, self._versions = register, versions
         self._now: Shadowing | None = None
+        self._changing = asyncio.Lock()  # one beginning or ending at a time
 
     # -- beginning and ending ----------------------------------------------------------------------------------------
 
@@ -116,21 +118,21 @@ class Shadow:
             NotFound: there is no such version.
             RecordUnavailable: nothing has changed.
         """
-        version = await self._versions.load(digest)
-        now = self._register.now()
-        said = version.event("shadow_begun" if on else "shadow_ended", principal.name, reason=why)
-        found = self.document(digest)
-        if found["on"] is on:
-            return found
-        if not on:
-            await self._register.append([said], [_setting(None, now)])
-            self._now = None
-            return {**found, "on": False}
-        policy = await self._versions.compiled(digest)
-        kept = {"digest": digest, "by": principal.name, "why": why}
-        await self._register.append([said], [_setting(kept, now)])
-        self._begin(policy, principal.name, why, now)
-        return self.document(digest)
+        async with self._changing:
+            version = await self._versions.load(digest)
+            found, now = self.document(digest), self._register.now()
+            if found["on"] is on:
+                return found
+            said = version.event("shadow_begun" if on else "shadow_ended", principal.name, reason=why)
+            if not on:
+                await self._register.append([said], [_setting(None, now)])
+                self._now = None
+                return {**found, "on": False}
+            policy = await self._versions.compiled(digest)
+            kept = {"digest": digest, "by": principal.name, "why": why}
+            await self._register.append([said], [_setting(kept, now)])
+            self._begin(policy, principal.name, why, now)
+            return self.document(digest)
 
     def _begin(self, policy: PolicySet, by: str, why: str, now: str) -> None:
         self._now = Shadowing(policy=policy, agents=Agents(policy), by=by, why=why, since=now)

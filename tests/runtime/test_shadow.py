@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from dataclasses import replace
 
 import pytest
@@ -48,6 +49,20 @@ async def test_a_shadow_that_is_begun_once_more_keeps_what_it_has_found(runtime:
     assert (again["decisions"], again["differing"]) == (1, 1)
     begun = [body for body in await bodies(runtime, "policy_version") if body["op"] == "shadow_begun"]
     assert len(begun) == 1
+
+
+async def test_who_begins_the_same_at_once_begins_it_once_and_who_ends_another_ends_nothing_else(
+    runtime: Runtime,
+) -> None:
+    digest, other = await brought(runtime, FORBIDDEN), await brought(runtime, SLOWER)
+    shadow, second = runtime.shadow, replace(ENGINEER, name="another")
+    await asyncio.gather(*(shadow.set(digest, who, "a look", on=True) for who in (ENGINEER, second)))
+    begun = [body for body in await bodies(runtime, "policy_version") if body["op"] == "shadow_begun"]
+    assert len(begun) == 1
+    await asyncio.gather(
+        shadow.set(other, ENGINEER, "this", on=True), shadow.set(digest, second, "no more of that", on=False)
+    )
+    assert shadow.document(other)["on"]
 
 
 async def test_an_agent_is_permitted_what_the_candidate_permits(runtime: Runtime, cell: HandCell) -> None:
