@@ -26,7 +26,16 @@ from app.clock import monotonic_s, rfc3339
 from app.governance.authority import need
 from app.governance.continuing import ACCEPTED, CHANGED, CONFORMS, Departure
 from app.governance.control import TAKEOVER, Phase
-from app.governance.model import SESSION, AdmissionOutcome, EventKind, Outcome, PolicyOutcome, Reason, Status
+from app.governance.model import (
+    SESSION,
+    AdmissionOutcome,
+    EventKind,
+    Intervention,
+    Outcome,
+    PolicyOutcome,
+    Reason,
+    Status,
+)
 from app.protocol import Human
 from app.runtime.drafts import SERVER, escalation_event, outcome_event, reason
 from app.runtime.errors import InvalidParams
@@ -134,13 +143,12 @@ class Succession:
         reasons = reasons_document(found.reasons)
         control = self._fleet.cell(present.cell or "").control
         mine = control is not None and control.invocation == present.id and control.phase is Phase.HELD
-        if departed and mine:
-            self._desk.departures.depart(present.id, reasons)
-        else:
-            self._desk.departures.depart(present.id, reasons, monotonic_s())
+        drives = departed and mine
+        self._desk.departures.depart(present.id, reasons, None if drives else monotonic_s())
+        if not drives:
             self._restrain(present)
         body = {
-            "intervention": "ESCALATE",
+            "intervention": Intervention.CONTINUE if drives else Intervention.ESCALATE,
             "code": CHANGED,
             "policy_version": self._kernel.policy.digest,
             "former": present.policy_version,

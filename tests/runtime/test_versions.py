@@ -1029,6 +1029,8 @@ async def test_whoever_took_a_session_that_had_departed_drives_on_under_the_next
     driven = runtime.fleet.cell(cell.id).control
     assert driven is not None
     assert (driven.lease, cell.ops()) == (lease, ["escalate"])
+    said = [body["intervention"] for body in await bodies(runtime, "intervention")]
+    assert said == ["ESCALATE", "CONTINUE"], "whoever drives was told nothing"
     await put_in_force(runtime, edited(ORGANIZATION, "rules:\n", f"rules:\n{NO_HAND}", SLOWER))
     runtime.governor.loosen_hands()
     await until(lambda: cell.ops() == ["escalate", "let_go"])

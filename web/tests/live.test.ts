@@ -273,6 +273,7 @@ describe('the controls of a cell', () => {
     expect(lossOf([taken(), over('journal_unavailable')], 'lease_1')).toBe('What you drove is over: journal unavailable.');
     expect(lossOf([taken(), waits], 'lease_1')).toBe('The robot came to rest, and the session waits for a person.');
     expect(lossOf([taken(), event('intervention', { intervention: 'ESCALATE', former: 'sha256:1' }), waits], 'lease_1')).toContain('Another policy came into force');
+    expect(lossOf([taken(), event('intervention', { intervention: 'CONTINUE', former: 'sha256:1' }), waits], 'lease_1')).toBe('The robot came to rest, and the session waits for a person.');
     const [released, kept] = [event('human', { op: 'release', lease: 'lease_1' }), event('launch', { refused: 'no_plan' })];
     const launched = event('launch', { permit: 'auth_1' });
     expect(lossOf([taken(), launched, released, kept, over('link')], 'lease_1')).toContain('The cell had lost the server');

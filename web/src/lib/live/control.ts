@@ -109,7 +109,7 @@ function heldWords(since: readonly LogEvent[]): string | null {
   const [first] = since.filter(({ kind }) => kind === 'launch');
   if (first !== undefined && 'refused' in first.body) return 'The cell did not let itself be driven.';
   if (!since.some(({ kind, body }) => kind === 'escalation' && 'reason' in body)) return null;
-  const changed = since.some(({ kind, body }) => kind === 'intervention' && 'former' in body);
+  const changed = since.some(({ kind, body }) => kind === 'intervention' && 'former' in body && body['intervention'] === 'ESCALATE');
   return `${changed ? 'Another policy came into force: the' : 'The'} robot came to rest, and the session waits for a person.`;
 }
 
