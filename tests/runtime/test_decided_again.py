@@ -915,7 +915,6 @@ async def test_a_session_whose_capability_takes_other_parameters_by_now_is_held_
         await put_in_force(runtime, renamed)
         await until(lambda: "escalate" in cell.ops())
         await cell.report("status", session, status="escalated", reason="policy_changed")
-        await asyncio.sleep(2 * AGAIN_S)  # whoever takes it before that has it taken back
         await taken(runtime, cell, session)
         async with stating(cell, status="running"):
             with pytest.raises(Conflict) as refused:
