@@ -97,6 +97,20 @@ ACCESS: Mapping[tuple[str, str], frozenset[Role] | None] = {
     ("GET", "/openapi.json"): PUBLIC,
 }
 
+# What restrains, or may: nothing in a query stands in its way.
+RESTRAINING = frozenset(
+    {
+        "/v1/cells/{id}/estop",
+        "/v1/escalations/{id}/acknowledge",
+        "/v1/escalations/{id}/resolve",
+        "/v1/grants/{id}/revoke",
+        "/v1/invocations/{id}/cancel",
+        "/v1/invocations/{id}/pause",
+        "/v1/invocations/{id}/release",
+        "/v1/invocations/{id}/stop",
+    }
+)
+
 _CALLER = "reins.caller"
 
 
@@ -176,7 +190,7 @@ class GuardedRoute(APIRoute):
     ) -> Callable[[Request], Coroutine[Any, Any, Response]]:
         (method,) = cast("set[str]", self.methods)  # one method a route: the table names them one by one
         allowed = allowed_roles(method, self.path)
-        reads_query = method == "GET"  # others do not look at it, so nothing in it can stand in a stop's way
+        reads_query = self.path not in RESTRAINING
         takes_none = reads_query and allowed is not PUBLIC and "query" not in signature(self.endpoint).parameters
 
         async def guarded(request: Request) -> Response:
@@ -199,7 +213,7 @@ def _refuse_any(query: bytes) -> None:
     Raises:
         Problem: 422 `request_invalid`.
     """
-    if names := _names(query):
+    if query and (names := _names(query)):
         errors = [
             {"field": f"query.{name[:100]}", "message": "is unknown: this route takes no parameters"} for name in names
         ]

@@ -8,7 +8,7 @@ from urllib.parse import urlsplit
 
 import pytest
 
-from app.api.access import ACCESS, PUBLIC
+from app.api.access import ACCESS, PUBLIC, RESTRAINING
 from app.api.console import PATH
 from tests.api.conftest import House
 from tests.api.test_wire import MALFORMED
@@ -159,6 +159,14 @@ async def test_nothing_in_a_query_stands_in_a_stops_way(house: House) -> None:
         assert (await agent.post("/v1/cells/workcell-1/estop?a=1&a=2")).status_code == 200
 
 
+@pytest.mark.parametrize("path", sorted(RESTRAINING))
+async def test_nothing_in_a_query_is_what_a_restraint_is_refused_for(house: House, path: str) -> None:
+    async with house.client("operator") as operator:
+        answer = await operator.post(path.replace("{id}", "x") + "?a=1&a=2", json={"then": "end"})
+    assert "query" not in answer.text
+    assert answer.json()["code"] != "given_twice"
+
+
 @pytest.mark.parametrize("path", ROUTES)
 async def test_a_compressed_body_is_refused(house: House, path: str) -> None:
     async with house.client(ROUTES[path]) as client:
@@ -209,6 +217,19 @@ async def test_no_route_passes_over_a_parameter_that_it_does_not_know(house: Hou
     assert (answer.status_code, answer.json()["code"]) == (422, "request_invalid")
     assert "`query.colour` is unknown" in answer.json()["detail"]
     assert answer.json()["errors"][0]["field"] == "query.colour"
+
+
+MAY_MOVE = [key for key in ACCESS if key[0] in {"POST", "PUT"} and key[1] not in RESTRAINING]
+
+
+@pytest.mark.parametrize(("method", "path"), MAY_MOVE)
+async def test_nothing_that_may_let_something_move_passes_over_a_query(house: House, method: str, path: str) -> None:
+    role = min(ACCESS[method, path] or ())
+    async with house.client(role) as client:
+        for query in ("cell=workcell-2", "after=0"):
+            answer = await client.request(method, f"{path.replace('{', '').replace('}', '')}?{query}", json={})
+            assert (answer.status_code, answer.json()["code"]) == (422, "request_invalid")
+            assert f"`query.{query.partition('=')[0]}` is unknown" in answer.json()["detail"]
 
 
 async def test_the_server_is_well_and_the_log_holds_afterwards(house: House) -> None:
