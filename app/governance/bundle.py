@@ -281,7 +281,7 @@ class Source:
 def shape_of(name: str) -> type[Any] | None:
     """Return the shape of a policy file by its path; None where nothing would read it."""
     path = PurePosixPath(name)
-    if len(path.parts) == 2 and path.suffix == ".yaml":
+    if len(path.parts) == 2 and path.suffix == ".yaml" and path.as_posix() == name:  # one file has one name
         return _FOLDERS.get(path.parts[0])
     return _SINGLE.get(name)
 

@@ -872,6 +872,15 @@ def test_a_file_nothing_would_read_is_an_error():
         bundle.load_files({**files(), "profile/typo.yaml": "{}"})
 
 
+@pytest.mark.parametrize(
+    "name", ["profiles//human-shared.yaml", "./profiles/human-shared.yaml", "profiles/./human-shared.yaml"]
+)
+def test_one_file_is_not_brought_twice_by_two_ways_to_write_its_name(name):
+    other = files()["profiles/human-shared.yaml"].replace("grip_force_n: {max: 60", "grip_force_n: {max: 30")
+    with pytest.raises(PolicyErrors, match="nothing would read it"):
+        bundle.load_files({**files(), name: other})
+
+
 def test_a_file_whose_suffix_is_in_capitals_is_not_passed_over(tmp_path):
     shutil.copytree(POLICIES, tmp_path, dirs_exist_ok=True)
     (tmp_path / "profiles" / "Extra.YAML").write_text("{}")
