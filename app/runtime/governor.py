@@ -320,7 +320,7 @@ def _terms(request: ProposalRequest) -> Terms:
 
 
 def event_document(event: Event, role: Role) -> dict[str, Any]:
-    """Return an event as JSON; an agent does not get what an operator wrote in words."""
+    """Return an event as JSON; an agent gets what it said itself, and nothing of what an operator wrote in words."""
     body = event.payload()
     if role is Role.AGENT:  # what policy is asked about, grants and who is on duty, is no business of an agent's
         body.pop(CIRCUMSTANCES, None)
@@ -330,5 +330,5 @@ def event_document(event: Event, role: Role) -> dict[str, Any]:
         "kind": event.kind,
         "invocation": event.invocation,
         "actor": event.actor,
-        "body": without_free_text(body) if role is Role.AGENT else body,
+        "body": without_free_text(body) if role is Role.AGENT and event.kind != EventKind.PROPOSAL else body,
     }

@@ -44,6 +44,14 @@ async def test_answers_a_refused_proposal_with_201_and_its_place(house: House) -
     assert again.json() == answer.json()
 
 
+async def test_a_trace_keeps_what_its_agent_said_itself(house: House) -> None:
+    said = {"note": "the left one", "comment": {"of": "mine"}}
+    async with house.client() as agent:
+        made = (await agent.post("/v1/invocations", json={**UNKNOWN, "metadata": said})).json()
+        trace = (await agent.get(f"/v1/invocations/{made['id']}/trace")).json()["items"]
+    assert trace[0]["body"]["metadata"] == said
+
+
 async def test_launches_what_policy_allows_with_the_effective_parameters(house: House) -> None:
     async with house.cell() as cell, house.client() as agent:
         answer = await agent.post("/v1/invocations", json=DRIVE)
