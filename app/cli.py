@@ -163,7 +163,9 @@ def demo(
     pace: Pace = 1.0,
     keep: Annotated[bool, typer.Option(help="Keep the server running afterwards.")] = False,
     port: Annotated[int, typer.Option(help="Port; 0 takes a free one.")] = 0,
-    folder: Annotated[Path, typer.Option(help="Where the demo keeps its data directories.")] = Path(".demo"),
+    folder: Annotated[Path, typer.Option(help="Where the demo keeps its data directories.", parser=directory)] = Path(
+        ".demo"
+    ),
 ) -> None:
     """Run the paper's Algorithm 1 on a server of its own: fetch in a shared workspace, a person walks in.
 

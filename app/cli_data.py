@@ -1,4 +1,4 @@
-"""What every command that takes `--data` makes of it."""
+"""What the commands make of a directory that data is kept in."""
 
 from __future__ import annotations
 

@@ -542,6 +542,16 @@ def test_no_data_directory_is_the_working_directory_by_an_empty_name(
     assert list(tmp_path.iterdir()) == []
 
 
+def test_no_demo_keeps_its_keys_in_the_working_directory_by_an_empty_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    code, said = run("demo", "--folder", "", "--port", "65536")
+    assert code == 2, said
+    assert "it is empty" in said
+    assert list(tmp_path.iterdir()) == []
+
+
 @pytest.mark.parametrize("command", ["serve", "audit verify"])
 def test_a_data_directory_that_is_a_file_is_named(command: str, tmp_path: Path) -> None:
     (tmp_path / "file").touch()
