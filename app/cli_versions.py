@@ -87,7 +87,7 @@ class Door:
         import httpx
 
         headers = {"Authorization": f"Bearer {self._token}"}
-        content = None if body is None else orjson.dumps(body)
+        content = None if body is None else _content(body)
         if content is not None:
             headers["Content-Type"] = "application/json"
         try:
@@ -101,7 +101,7 @@ class Door:
                 verify=self._trusted,
             )
             return answer.status_code, orjson.loads(answer.content)
-        except (httpx.HTTPError, httpx.InvalidURL, orjson.JSONDecodeError) as error:
+        except (httpx.HTTPError, httpx.InvalidURL, UnicodeError, orjson.JSONDecodeError) as error:
             say_error(f"`{self._url}` gave no answer: {error}")
             raise typer.Exit(MISUSE) from error
 
@@ -274,6 +274,15 @@ def _print_replay(found: Replay) -> None:
         say(f"{found.without_context} left out: an earlier release recorded them without their context")
     if found.without_policy:
         say(f"{found.without_policy} left out: the version that decided then is not kept here")
+
+
+def _content(body: object) -> bytes:
+    """Return what is to be sent. Ends the command where that is no text."""
+    try:
+        return orjson.dumps(body)
+    except orjson.JSONEncodeError as error:
+        say_error(f"nothing was sent: {error}", hint="valid is text in UTF-8")
+        raise typer.Exit(MISUSE) from error
 
 
 def _read(path: Path, key: str, hint: str) -> str:

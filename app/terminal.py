@@ -38,8 +38,11 @@ def stop_signals() -> tuple[signal.Signals, ...]:
 
 
 def plain(text: str) -> str:
-    """Return a text with what would steer a terminal, or turn the order of what it shows, as JSON escapes it."""
-    return text.translate(ESCAPES)
+    """Return a text with what would steer a terminal, turn the order of what it shows, or is none, as JSON escapes it.
+
+    What is none came as bytes that are no UTF-8: a file may be called so.
+    """
+    return text.translate(ESCAPES).encode(errors="backslashreplace").decode()
 
 
 def say(message: str) -> None:

@@ -487,6 +487,22 @@ def test_a_token_stays_out_of_what_is_printed(tmp_path: Path) -> None:
     assert "secret" not in repr(CellSettings(id="c", token="secret", data=tmp_path, server="http://x"))
 
 
+@pytest.mark.parametrize(
+    ("words", "code"),
+    [
+        ("policy versions --server NAME --token t", 2),
+        (f"policy propose {POLICIES} --why NAME --server http://127.0.0.1:1 --token t", 2),
+        ("policy schemas NAME", 0),
+    ],
+)
+def test_no_command_breaks_by_an_argument_that_is_no_utf_8(
+    words: str, code: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    found = CliRunner().invoke(app, [word.replace("NAME", os.fsdecode(b"caf\xe9")) for word in words.split()])
+    assert found.exit_code == code, found.output
+
+
 def test_refuses_a_policy_directory_that_is_none(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="policies"):
         find_policies(tmp_path / "none")

@@ -106,17 +106,11 @@ def _read(directory: Path, *, tests: bool) -> dict[str, str]:
         name = path.relative_to(directory).as_posix()
         if not _meant(path) or (PurePosixPath(name).parts[0] == TESTS_FOLDER) is not tests:
             continue
-        try:
-            if (content := _content(path)) is not None:
-                files[name] = content.decode()
-                continue
-            message = f"cannot be read: valid is a regular file of at most {MOST_BYTES:,} bytes"
-            problems.append(PolicyError(file=name, line=0, key="", message=message))
-        except OSError as error:  # a link that leads nowhere, a folder: what was meant to be read there does not decide
-            problems.append(PolicyError(file=name, line=0, key="", message=f"cannot be read: {error.strerror}"))
-        except UnicodeDecodeError as error:
-            line = error.object[: error.start].count(b"\n") + 1
-            problems.append(PolicyError(file=name, line=line, key="", message=f"cannot be read as UTF-8 text: {error}"))
+        found = _text(path, name)
+        if isinstance(found, PolicyError):
+            problems.append(found)
+        else:
+            files[name] = found
     if problems:
         raise PolicyErrors(problems)
     return files
@@ -127,6 +121,22 @@ def _linked(directory: Path, folders: Iterable[str]) -> list[PolicyError]:
     message = "is a link to a directory, and such a link is not followed: valid is a directory of its own"
     linked = [name for name in folders if (path := directory / name).is_symlink() and path.is_dir()]
     return [PolicyError(file=name, line=0, key="", message=message) for name in linked]
+
+
+def _text(path: Path, name: str) -> str | PolicyError:
+    """Return what a file says, or why nobody can be told."""
+    line, message = 0, f"cannot be read: valid is a regular file of at most {MOST_BYTES:,} bytes"
+    shown = name.encode(errors="backslashreplace").decode()
+    if shown != name:
+        return PolicyError(file=shown, line=0, key="", message="has a name that is no UTF-8: valid is one that is")
+    try:
+        if (content := _content(path)) is not None:
+            return content.decode()
+    except OSError as error:  # a link that leads nowhere, a folder: what was meant to be read there does not decide
+        message = f"cannot be read: {error.strerror}"
+    except UnicodeDecodeError as error:
+        line, message = error.object[: error.start].count(b"\n") + 1, f"cannot be read as UTF-8 text: {error}"
+    return PolicyError(file=name, line=line, key="", message=message)
 
 
 def _content(path: Path) -> bytes | None:

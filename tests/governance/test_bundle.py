@@ -888,6 +888,17 @@ def test_a_file_whose_suffix_is_in_capitals_is_not_passed_over(tmp_path):
         bundle.load(tmp_path)
 
 
+@pytest.mark.parametrize(("folder", "read"), [("profiles", bundle.read_files), ("tests", bundle.read_cases)])
+def test_a_file_whose_name_is_no_utf_8_is_named_as_far_as_it_can_be(tmp_path, folder, read):
+    (tmp_path / folder).mkdir()
+    (tmp_path / folder / os.fsdecode(b"caf\xe9.yaml")).write_text("{}")
+    with pytest.raises(PolicyErrors) as raised:
+        read(tmp_path)
+    (problem,) = raised.value.problems
+    assert problem.file == rf"{folder}/caf\udce9.yaml"
+    assert "no UTF-8" in problem.message
+
+
 def test_a_directory_that_is_not_there_is_an_error(tmp_path):
     with pytest.raises(PolicyErrors, match="no such directory"):
         bundle.load(tmp_path / "nowhere")
