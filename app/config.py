@@ -143,6 +143,8 @@ class CellSettings:
         """Refuse what cannot be meant."""
         _demand(CELL_ID.fullmatch(self.id) is not None, "id", self.id, VALID_CELL_ID)
         _demand(bool(self.token), "token", "", f"a cell's token in the variable {CELL_TOKEN_VARIABLE}")
+        fits = self.token.isascii() and self.token.isprintable()  # whoever would send it says it, in a log
+        _demand(fits, "token", "…", f"printable ASCII characters in the variable {CELL_TOKEN_VARIABLE}")
         one = (self.server is None) != (self.server_file is None)
         _demand(one, "server", self.server, "either an address like http://127.0.0.1:8000 or a server file")
         valid = "http:// or https://, a host and a port up to 65535, for instance http://127.0.0.1:8000"
@@ -216,8 +218,8 @@ def find_policies(flag: Path | None, called: str = "policies") -> Path:
 
 
 def cell_token(environ: Mapping[str, str] | None = None) -> str:
-    """Return the cell's token from the environment; empty where there is none."""
-    return (os.environ if environ is None else environ).get(CELL_TOKEN_VARIABLE, "")
+    """Return the cell's token from the environment, as out of a file that ends its line; empty where there is none."""
+    return (os.environ if environ is None else environ).get(CELL_TOKEN_VARIABLE, "").strip()
 
 
 def _demand(holds: bool, name: str, value: object, valid: str) -> None:

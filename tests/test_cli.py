@@ -27,7 +27,7 @@ from app.audit.errors import RowUnreadable
 from app.audit.places import Places
 from app.audit.store import AuditStore
 from app.cli import app, main
-from app.config import CELL_TOKEN_VARIABLE, CellSettings, ConfigError, Settings, find_policies
+from app.config import CELL_TOKEN_VARIABLE, CellSettings, ConfigError, Settings, cell_token, find_policies
 from app.main import listen, operator_token, read_cell_token
 from app.runtime.errors import ExaminationFailed
 from app.terminal import INTERRUPTED, plain
@@ -334,6 +334,16 @@ def test_refuses_a_cell_without_token_or_server(tmp_path: Path) -> None:
         CellSettings(id="c", token="", data=tmp_path, server="http://127.0.0.1:8000")
     with pytest.raises(ConfigError, match="server"):
         CellSettings(id="c", token="t", data=tmp_path)
+
+
+@pytest.mark.parametrize("token", ["reins_cell_ab\nX-More: 1", "reins_cell_é"])
+def test_a_cells_token_that_fits_no_header_is_refused_and_not_repeated(token: str, tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"`token` is `…`; valid: printable ASCII characters in the variable"):
+        CellSettings(id="c", token=token, data=tmp_path, server="http://127.0.0.1:8000")
+
+
+def test_a_cells_token_is_taken_as_a_file_ends_it() -> None:
+    assert cell_token({CELL_TOKEN_VARIABLE: "reins_cell_ab\n"}) == "reins_cell_ab"
 
 
 @pytest.mark.parametrize(
