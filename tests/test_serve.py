@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 import signal
+import socket
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -12,6 +13,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from itertools import chain
 from pathlib import Path
+from urllib.parse import urlsplit
 
 import httpx
 import pytest
@@ -142,6 +144,24 @@ def test_a_link_that_is_refused_is_answered_and_makes_no_noise(
     assert json.loads(refused.value.response.body or b"")["status"] == status
     assert httpx.get(f"{server.url}/healthz", trust_env=False).is_success  # whatever was to be printed is by now
     assert "ERROR" not in server.log.read_text().removeprefix(before)
+
+
+@pytest.mark.parametrize(
+    "sent",
+    [
+        b"\x16\x03\x01\x02\x00\x01\r\n\r\n",
+        b"GET /healthz HTTP/1.1\r\nHost: here\r\nConnection: Upgrade\r\nUpgrade: h2c\r\n\r\n",
+    ],
+)
+def test_what_anybody_may_send_without_a_token_is_answered_and_makes_no_noise(
+    server: ServerProcess, sent: bytes
+) -> None:
+    before = server.log.read_text()
+    with socket.create_connection(("127.0.0.1", urlsplit(server.url).port or 0), timeout=10) as peer:
+        peer.sendall(sent)
+        assert peer.recv(9) == b"HTTP/1.1 "
+    assert httpx.get(f"{server.url}/healthz", trust_env=False).is_success  # whatever was to be printed is by now
+    assert "WARNING" not in server.log.read_text().removeprefix(before)
 
 
 def test_a_second_server_on_the_same_data_does_not_start(server: ServerProcess) -> None:

@@ -15,6 +15,7 @@ already takes the place of those that have let others wait for longest, or that 
 
 from __future__ import annotations
 
+import logging
 import resource
 from typing import TYPE_CHECKING, ClassVar, Final, cast
 
@@ -30,6 +31,9 @@ if TYPE_CHECKING:
 
     from httptools import HttpRequestParser
     from uvicorn.protocols.http.httptools_impl import RequestResponseCycle
+
+log = logging.getLogger(__name__)
+log.setLevel(logging.ERROR)  # what anybody may send without a token has no end: it is answered, and makes no noise
 
 FRAMING = (b"content-length", b"transfer-encoding")  # header fields that say that a body follows
 SPARE_BYTES = 64  # of a line, for what is neither name nor value
@@ -74,6 +78,7 @@ class Exchanges(HttpToolsProtocol):
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         """Begin, and keep an eye on the peer."""
         super().connection_made(transport)
+        self.logger = log
         self._looking = self.loop.call_later(self.look_s, self._look)
         self._since_s = self.loop.time()
         if len(self.connections) > self.most:
