@@ -109,9 +109,12 @@ def approve(habits_file: Path, url: str | None, data: Path, token: str | None = 
 
 
 def _read(file: Path) -> dict[str, Any]:
-    """Return what a file of a data directory holds. Raises `OSError`, `ValueError` naming a file that is no JSON."""
+    """Return what a file of a data directory holds. Raises `OSError`, `ValueError` naming one that is gone or none."""
     try:
         document: object = orjson.loads(file.read_bytes())
+    except FileNotFoundError as error:
+        valid = "the data directory of a server that runs, or --server and --token"
+        raise ValueError(f"there is no `{file}`; valid: {valid}") from error
     except orjson.JSONDecodeError as error:
         raise ValueError(f"`{file}` cannot be read: {error}; valid is the file as a server wrote it") from error
     return cast("dict[str, Any]", document) if isinstance(document, dict) else {}

@@ -578,6 +578,15 @@ def test_no_demo_keeps_its_keys_in_the_working_directory_by_an_empty_name(
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.parametrize(("token", "missing"), [("", "tokens.json"), ("--token t", "server.json")])
+def test_an_approver_without_a_server_says_what_would_be_valid(token: str, missing: str, tmp_path: Path) -> None:
+    (tmp_path / "habits.yaml").write_text("approver: operator\n")
+    words = ["approver", "--policy", str(tmp_path / "habits.yaml"), "--data", str(tmp_path / "nowhere")]
+    code, said = run(*words, *token.split())
+    assert code == 2
+    assert f"there is no `{tmp_path / 'nowhere' / missing}`; valid: the data directory of a server that runs" in said
+
+
 @pytest.mark.parametrize("command", ["serve", "audit verify"])
 def test_a_data_directory_that_is_a_file_is_named(command: str, tmp_path: Path) -> None:
     (tmp_path / "file").touch()
