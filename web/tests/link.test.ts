@@ -207,6 +207,37 @@ describe('the connection', () => {
     expect(health.at(-1)?.state).toBe('down'); // silence is told within a second all the same
   });
 
+  it.each([
+    [1_500, 'late', 1],
+    [60_000, 'down', 2],
+  ])('vouches for nothing that came while it stood still for %d ms, whatever lies there to be read', (ms, state, opened) => {
+    welcome(sockets[0]);
+    vi.advanceTimersByTime(500);
+    answer(0);
+    vi.advanceTimersByTime(100);
+    expect(health.at(-1)?.state).toBe('up');
+    vi.setSystemTime(Date.now() + ms);
+    sockets[0]?.say({ type: 'beat', n: 2, at: 0, seq: 42 });
+    vi.advanceTimersByTime(100);
+    expect(health.at(-1)?.state).toBe(state);
+    vi.advanceTimersByTime(500);
+    expect(sockets.length).toBe(opened);
+  });
+
+  it('vouches for nothing after a sleep, in which its own clock stands still', () => {
+    connection.end();
+    connection = new Connection('ws://here/v1/console', 'secret', listener, make, () => performance.now());
+    welcome(sockets[1]);
+    vi.advanceTimersByTime(200);
+    expect(health.at(-1)?.state).toBe('up');
+    vi.setSystemTime(Date.now() + 60_000);
+    vi.advanceTimersByTime(100);
+    expect(health.at(-1)?.state).toBe('late');
+    sockets[1]?.say({ type: 'pong', at_ms: sockets[1].sent.findLast(({ type }) => type === 'ping')?.['at_ms'] });
+    vi.advanceTimersByTime(100);
+    expect(health.at(-1)?.state).toBe('up');
+  });
+
   it('never sends late what could not be sent', () => {
     connection.send({ type: 'jog', cell: 'c', lease: 'l', n: 1, base: [1, 0, 0], tool: [0, 0, 0], grip: null, beat: 0, since_ms: 0 });
     sockets[0]?.open();

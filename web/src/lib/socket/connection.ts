@@ -35,6 +35,8 @@ export class Connection {
   private attempt = 0;
   private retryAtMs: number | null = null;
   private pingedMs = 0;
+  /** When this was last given a turn, by either clock: in a sleep the wall clock alone goes on. */
+  private turn = { ms: 0, wallMs: 0 };
   /** When the pings were sent that wait for an answer, oldest first: it comes in line behind everything else. */
   private unanswered: number[] = [];
   /** Whether this socket's snapshot has come: until then, what is known is what an earlier one said. */
@@ -57,6 +59,7 @@ export class Connection {
     private readonly now: () => number = () => performance.now(),
   ) {
     this.dog = new Watchdog(this.now());
+    this.turn = { ms: this.now(), wallMs: Date.now() };
     this.timer = setInterval(() => this.tick(), TICK_MS);
     if (token.length > LONGEST_TOKEN) this.closed(4401, '');
     else this.open();
@@ -92,7 +95,7 @@ export class Connection {
     const socket = this.make(this.url, SUBPROTOCOL);
     socket.binaryType = 'arraybuffer';
     socket.onopen = () => this.send({ type: 'hello', token: this.token, after: this.lastSeq });
-    socket.onmessage = (event: MessageEvent<string | ArrayBuffer>) => this.take(event.data);
+    socket.onmessage = (event: MessageEvent<string | ArrayBuffer>) => this.come(event.data);
     socket.onclose = (event) => this.closed(event.code, event.reason);
     this.socket = socket;
   }
@@ -120,6 +123,12 @@ export class Connection {
   private later(): void {
     this.retryAtMs = this.now() + retryMs(this.attempt, Math.random());
     this.attempt += 1;
+  }
+
+  /** What lies here unread after this stood still came meanwhile: a socket that was silent for too long by then is left, and that with it. */
+  private come(data: string | ArrayBuffer): void {
+    if (this.stoodStillMs(this.now()) > 0) this.tick();
+    if (this.socket !== null) this.take(data);
   }
 
   private take(data: string | ArrayBuffer): void {
@@ -163,16 +172,24 @@ export class Connection {
     if (this.watched.length > 0) this.send({ type: 'watch', cells: this.watched });
   }
 
+  /** How long this was given no turn, as it is frozen or the computer sleeps; 0 where nothing that came meanwhile is late. */
+  private stoodStillMs(now: number): number {
+    const ms = Math.max(now - this.turn.ms, Date.now() - this.turn.wallMs);
+    return ms > LATE_MS ? ms : 0;
+  }
+
   private tick(): void {
     const now = this.now();
+    const stillMs = this.stoodStillMs(now);
+    this.turn = { ms: now, wallMs: Date.now() };
     if (this.socket !== null && this.dog.spent(now)) {
       this.leave();
       this.later();
     }
     if (this.retryAtMs !== null && now >= this.retryAtMs) this.open();
-    if (now - this.pingedMs >= PING_MS) {
+    if (stillMs > 0 || now - this.pingedMs >= PING_MS) {
       this.pingedMs = now;
-      if (this.synced) this.unanswered.push(now);
+      if (this.synced) this.unanswered.push(now - stillMs); // until it is answered, what comes may be as old
       this.send({ type: 'ping', at_ms: now });
     }
     this.frames = this.frames.filter((at) => now - at < 1_000);
