@@ -563,6 +563,26 @@ def test_an_answer_of_policy_is_marked_once_its_question_has_changed_even_if_it_
     expect(person.region("Waiting for you")).to_be_visible()
 
 
+def test_while_policy_is_asked_anew_its_answer_to_the_question_before_stays_marked(
+    server: ServerProcess, people: People
+) -> None:
+    person = people.sit(server)
+    person.press("3")
+    form = person.region("What would happen if…")
+    form.get_by_label("Object (needed)").select_option("mug_1")
+    form.get_by_role("button", name="Ask policy").click()
+    expect(form).to_contain_text("Policy version")
+    form.get_by_label(re.compile("^Grip force")).fill("50")
+    old = form.get_by_text("Asked before something above changed.")
+    expect(old).to_be_visible()
+    with at_once("**/v1/check", person):
+        form.get_by_role("button", name="Ask policy").click()
+        expect(form.get_by_role("button", name="Asking…")).to_be_visible()
+        person.page.evaluate(THREE_FRAMES)
+        expect(old).to_be_visible()
+    expect(old).to_have_count(0)
+
+
 def test_what_is_chosen_can_be_told_where_the_system_chooses_the_colours(server: ServerProcess, people: People) -> None:
     person = people.sit(server)
     page = person.page
