@@ -23,6 +23,18 @@ FIRMER = "grip_force_n: {max: 70,"
 SHIPPED = "grip_force_n: {max: 60,"
 PROFILE = "profiles/human-shared.yaml"
 REFUSED = r"status of (403|409|422)"  # the browser's own note of a request that was refused
+# Presses what is offered in the very frame in which somebody else has made something else of it.
+PRESS_ONCE_OTHER = """(button) => {
+    const said = button.textContent;
+    const look = () => {
+        if (button.textContent === said) return requestAnimationFrame(look);
+        const how = { bubbles: true, cancelable: true, pointerId: 1, button: 0 };
+        for (const what of ['pointerdown', 'pointerup']) button.dispatchEvent(new PointerEvent(what, how));
+        button.click();
+        window.pressed = button.textContent.trim();
+    };
+    requestAnimationFrame(look);
+}"""
 
 
 @pytest.fixture(scope="module")
@@ -285,6 +297,29 @@ def test_a_shadow_that_another_engineer_begins_and_ends_is_shown_by_itself(
         said = {"on": on, "why": "a look"}
         assert changing.post(f"{path}/shadow", said, key="engineer_2").is_success
         expect(view.get_by_role("button", name=offered)).to_be_visible()
+
+
+def test_a_press_that_was_meant_to_begin_a_shadow_does_not_end_the_one_that_another_has_just_begun(
+    changing: ServerProcess, people: People
+) -> None:
+    path = f"/v1/policies/{kept(changing, 'grip_force_n: {max: 78,', 'for the shadow, too')}"
+    engineer = seat(people, changing, "engineer")
+    engineer.page.evaluate(f"location.hash = '#/policy/Versions/{path.rpartition('/')[2]}'")
+    view = engineer.page.get_by_role("region", name=re.compile("^Version "))
+    say_why(view, "a look")
+    sent: list[str] = []
+    engineer.hears("request", lambda request: sent.append(request.url) if request.method == "POST" else None)
+    view.get_by_role("button", name="Ask it in the shadow").click(trial=True)  # when it takes a press
+    view.get_by_role("button", name="Ask it in the shadow").evaluate(PRESS_ONCE_OTHER)
+    assert changing.post(f"{path}/shadow", {"on": True, "why": "a look"}, key="engineer_2").is_success
+    until(
+        lambda: engineer.page.evaluate("window.pressed") == "End the shadow", what="a press of what is another button"
+    )
+    engineer.page.evaluate(THREE_FRAMES)
+    assert sent == []
+    view.get_by_role("button", name="End the shadow").click()
+    expect(view.get_by_role("button", name="Ask it in the shadow")).to_be_visible()
+    assert changing.get(f"{path}/shadow", key="engineer")["on"] is False
 
 
 def kept(server: ServerProcess, bound: str, why: str) -> str:
