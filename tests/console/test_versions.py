@@ -322,6 +322,25 @@ def test_a_press_that_was_meant_to_begin_a_shadow_does_not_end_the_one_that_anot
     assert changing.get(f"{path}/shadow", key="engineer")["on"] is False
 
 
+def test_who_writes_a_candidate_is_told_that_another_version_came_into_force(
+    changing: ServerProcess, people: People
+) -> None:
+    theirs, active = kept(changing, "grip_force_n: {max: 33,", "theirs"), changing.get("/v1/policies/active")["version"]
+    engineer = seat(people, changing, "engineer")
+    bring, editor = begin(engineer, "# mine\n", "begun before")
+    told = bring.get_by_role("alert").filter(has_text="Another version came into force meanwhile.")
+    expect(told).to_have_count(0)
+    try:
+        put_in_force(changing, theirs)
+        expect(told).to_be_visible()
+        expect(editor).to_have_value(re.compile("^# mine\n"))
+        bring.get_by_role("button", name="Edit what is in force").click()
+        expect(editor).not_to_have_value(re.compile("^# mine\n"))
+        expect(told).to_have_count(0)
+    finally:
+        put_in_force(changing, active)
+
+
 def kept(server: ServerProcess, bound: str, why: str) -> str:
     """Bring what is in force with another bound; returns its digest."""
     active = server.get("/v1/policies/active")["version"]

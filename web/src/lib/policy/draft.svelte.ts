@@ -9,6 +9,8 @@ export class Draft {
   live = $state.raw<Files>({});
   leftOut = $state.raw<string[]>([]);
   partial = $state(false);
+  /** The version whose files `live` are. */
+  of = $state<string | null>(null);
   faults = $state.raw<Fault[]>([]);
   chosen = $state<string | null>(null);
   why = $state('');
@@ -63,7 +65,7 @@ export class Draft {
     try {
       const [texts, { active }] = await Promise.all([read(picked), api.versions(1)]);
       const live = filesOf(await api.policyFiles(active));
-      if (mine === this.taking) this.begin(candidateOf(texts, live), live);
+      if (mine === this.taking) this.begin(candidateOf(texts, live), live, active);
     } catch (error) {
       if (mine === this.taking) this.trouble = said(error);
     }
@@ -103,8 +105,8 @@ export class Draft {
     return why === this.why && names.length === Object.keys(this.files).length && names.every((name) => files[name] === this.files[name]);
   }
 
-  private begin(found: Candidate, live: Files): void {
-    this.live = live;
+  private begin(found: Candidate, live: Files, of: string): void {
+    [this.live, this.of] = [live, of];
     this.files = found.files;
     this.leftOut = found.leftOut;
     this.partial = found.partial;
