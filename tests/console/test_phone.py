@@ -12,6 +12,8 @@ from app.governance.model import Role
 from tests.conftest import ServerProcess, until
 from tests.console.conftest import (
     ANSWERS,
+    MAGNIFIED,
+    NARROWEST,
     PHONE,
     SIDEWAYS,
     SIDEWAYS_SMALL,
@@ -352,6 +354,27 @@ def test_no_finger_approves_what_lies_behind_the_menu_or_the_list_of_keys(
     expect(over).to_have_count(0)
     approve.tap()
     assert floor.settled(asked["id"])["status"] == "running"
+
+
+@pytest.mark.parametrize(
+    "screen", [PHONE, NARROWEST, MAGNIFIED, SIDEWAYS, SIDEWAYS_SMALL], ids=lambda screen: str(screen["width"])
+)
+def test_the_menu_and_the_list_of_keys_stand_clear_of_the_bar_from_their_first_line_to_their_last(
+    server: ServerProcess, people: People, floor: Floor, screen: dict[str, int]
+) -> None:
+    floor.ask()
+    person = people.sit(server, size=PHONE)
+    expect(person.button(re.compile("^Deny"))).to_be_enabled()
+    resize(person, screen)
+    menu, listed = person.page.get_by_role("navigation", name="Pages and settings"), person.page.get_by_role("dialog")
+    person.button("Menu").tap()
+    for line in (menu.get_by_role("link", name="Live"), menu.get_by_role("button", name="Sign out")):
+        line.scroll_into_view_if_needed()
+        assert on_top(line)
+    person.press("?")
+    for line in (listed.get_by_role("button", name="Close"), listed.get_by_role("definition").last):
+        line.scroll_into_view_if_needed()
+        assert on_top(line)
 
 
 def test_what_somebody_changes_again_is_read_again_before_a_finger_approves_it(
