@@ -416,6 +416,23 @@ def covered(server: ServerProcess, person: Person, proposed: dict[str, Any]) -> 
     assert server.await_status(proposed["id"], "denied")
 
 
+def test_an_edit_that_policy_refused_of_a_stopped_cell_is_checked_again_once_that_is_reset(
+    server: ServerProcess, people: People, floor: Floor
+) -> None:
+    asked = floor.ask()
+    person = people.sit(server)
+    approve = person.button("Approve edit")
+    person.page.get_by_role("textbox", name="Speed you approve, m/s").fill("0.12")
+    expect(approve).to_be_enabled()
+    assert server.post("/v1/cells/workcell-1/estop").is_success
+    refused = person.page.get_by_text("Policy refuses your edit: “workcell-1” is stopped and latched.")
+    expect(refused).to_be_visible()
+    until(floor.unlatched, what="a cell that no stop latches")
+    expect(refused).to_have_count(0)
+    approve.click()
+    assert floor.settled(asked["id"])["status"] == "running"
+
+
 def test_no_key_answers_behind_the_list_of_keys_or_from_the_panel_and_a_stopped_cell_keeps_only_an_approval_back(
     server: ServerProcess, people: People, floor: Floor
 ) -> None:

@@ -144,6 +144,14 @@ export class Decision {
     }
   }
 
+  /** Asks policy anew about what was typed: what it said was said of the cell as it was. */
+  again(): void {
+    if (!this.edited || Object.keys(this.edit.faults).length > 0) return;
+    clearTimeout(this.timer);
+    this.check = { is: 'checking' };
+    void this.ask();
+  }
+
   discard(): void {
     clearTimeout(this.timer);
     this.turn += 1;
