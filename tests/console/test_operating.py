@@ -14,7 +14,7 @@ from playwright.sync_api import Locator, Route, expect
 
 from app.clock import rfc3339, wall_s
 from tests.conftest import ServerProcess, until
-from tests.console.conftest import Floor, People, Person, at_once, far, insist
+from tests.console.conftest import DESK, PHONE, Floor, People, Person, at_once, far, insist, resize
 from tests.console.wire import wire_to
 
 if TYPE_CHECKING:
@@ -133,6 +133,22 @@ def test_a_pause_is_heard_where_a_cell_was_chosen_and_another_letter_there_choos
     person.press("p")
     server.await_status(drive["id"], "paused")
     assert server.get(f"/v1/invocations/{asked['id']}")["status"] == "awaiting_approval"
+
+
+@pytest.mark.parametrize("size", [DESK, PHONE], ids=["wide", "narrow"])
+def test_the_sign_beside_the_name_of_the_cell_lies_over_no_letter_of_it(
+    server: ServerProcess, people: People, size: dict[str, int]
+) -> None:
+    person = people.sit(server)  # with a mouse, however narrow the window is
+    resize(person, size)
+    sign, room = person.page.get_by_label("Cell", exact=True).evaluate(
+        """(list) => {
+            const { width, paddingLeft, paddingRight } = getComputedStyle(list, '::picker-icon');
+            const sign = [width, paddingLeft, paddingRight].map(parseFloat).reduce((all, one) => all + one);
+            return [sign, parseFloat(getComputedStyle(list).paddingRight)];
+        }"""
+    )
+    assert 0 < sign <= room
 
 
 def test_fleet_counts_a_session_from_its_launch_and_not_from_when_it_was_proposed(
