@@ -15,6 +15,7 @@ from __future__ import annotations
 import asyncio
 import base64
 from collections import deque
+from itertools import accumulate, islice
 from typing import TYPE_CHECKING, Any, Final, Protocol, assert_never
 
 from app.audit.errors import EventMalformed, RecordUnavailable
@@ -52,6 +53,7 @@ MAX_WAITING_FRAMES: Final = 256
 MAX_WAITING_EVENTS: Final = 4096
 MAX_WAITING: Final = 16 * 1024 * 1024  # characters of reports that wait for the record
 BATCH_EVENTS: Final = 256
+BATCH: Final = 1024 * 1024  # characters of those: while they are made ready for the record, no word reaches any cell
 MAX_SHOWN: Final = 256 * 1024  # characters of a report, a state, or whatever else is not shown once in a link
 MAX_READ: Final = 512 * 1024  # of any text: while a longer one is read, no word reaches any cell
 RETRY_S: Final = 0.5
@@ -307,7 +309,7 @@ class Attachment:
             await self._incoming.wait()
             self._incoming.clear()
             while self._reports:
-                batch = [self._reports[place] for place in range(min(len(self._reports), BATCH_EVENTS))]
+                batch = self._batch()
                 if not await self._recorded(journal, batch):
                     await asyncio.sleep(RETRY_S)
                     continue
@@ -316,6 +318,11 @@ class Attachment:
                     self._waiting -= self._lengths.popleft()
                 self.post(Ack(seq=self.cell.up_seq))
             await self._hub.caught_up(self)
+
+    def _batch(self) -> list[UpEvent]:
+        """Return the reports that are recorded next: at least one."""
+        ends = accumulate(islice(self._lengths, BATCH_EVENTS))
+        return list(islice(self._reports, max(1, sum(end <= BATCH for end in ends))))
 
     async def _recorded(self, journal: str, batch: Sequence[UpEvent]) -> bool:
         try:

@@ -4,22 +4,38 @@ from __future__ import annotations
 
 import asyncio
 import json
+import threading
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from typing import Any
 
 import pytest
 
 from app.audit.errors import RecordUnavailable
-from app.audit.event import RowWrite
+from app.audit.event import EventDraft, RowWrite
+from app.audit.telemetry import TelemetryFile, TelemetryWriter
 from app.audit.telemetry_reading import read_telemetry
 from app.clock import monotonic_s
-from app.protocol import BEAT_MS, CHANNELS, MOST_ROWS, ROW, VERSION, Beat, Hello, Sighting, encode, pack_batch
+from app.protocol import (
+    BEAT_MS,
+    CHANNELS,
+    MOST_ROWS,
+    ROW,
+    VERSION,
+    Beat,
+    Hello,
+    Sighting,
+    encode,
+    pack_batch,
+    pack_poses,
+)
 from app.runtime import cells as cells_module
 from app.runtime import register as register_module
 from app.runtime import sessions as sessions_module
 from app.runtime.assembly import Runtime
 from app.runtime.errors import Conflict
-from app.runtime.link import MAX_READ, MAX_SHOWN, MAX_WAITING, PROTOCOL_VIOLATION, RETRY_S
+from app.runtime.link import BATCH, MAX_READ, MAX_SHOWN, MAX_WAITING, PROTOCOL_VIOLATION, RETRY_S
 from app.runtime.outlet import Outlet
 
 from .conftest import AGENT, AT_BENCH, AUDITOR, CELL, OPERATOR, OPERATOR_2, HandCell, House, grasp, navigate, until
@@ -383,6 +399,27 @@ async def test_what_is_too_long_is_not_read_at_all(runtime: Runtime, cell: HandC
     await until(lambda: told.closed is not None)
     assert told.closed is not None
     assert f"valid are `{MAX_READ}`" in told.closed[1]
+
+
+async def test_only_so_much_is_recorded_at_once(
+    runtime: Runtime, cell: HandCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    append, go, lengths = runtime.store.append, asyncio.Event(), list[int]()
+
+    async def slow(drafts: Sequence[EventDraft], rows: Sequence[RowWrite] = ()) -> list[int]:
+        await go.wait()
+        lengths.append(sum(len(str(draft.body)) for draft in drafts))
+        return await append(drafts, rows)
+
+    monkeypatch.setattr(runtime.store, "append", slow)
+    said = [cell.event("cell", what="started", detail="x" * 200_000) for _ in range(20)]
+    for event in said:
+        await cell.say(event)
+    go.set()
+    await cell.acknowledged(said[-1].seq)
+    assert BATCH // 2 < max(lengths) < 1.1 * BATCH
+    recorded = [event.payload()["cell_seq"] for event in await runtime.store.events(actor=CELL) if b"xxx" in event.body]
+    assert recorded == [event.seq for event in said]
 
 
 async def test_a_gap_closes_the_link(runtime: Runtime, cell: HandCell) -> None:
