@@ -19,7 +19,7 @@ import struct
 from typing import Annotated, Literal, TypeAlias
 
 import orjson
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, JsonValue, TypeAdapter, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, FailFast, Field, JsonValue, TypeAdapter, ValidationError
 
 from app.governance.control import GOING_ON
 
@@ -28,6 +28,7 @@ BEAT_MS = 75
 AGED_MS = 1500  # there and back again, beats included
 STATE_MS = 100
 VERSION = 17
+MOST_LISTED = 1000  # errors of one message
 
 
 Count: TypeAlias = Annotated[int, Field(strict=True, ge=0, lt=2**63)]  # as the record can write down
@@ -44,6 +45,7 @@ def _passed_on(document: dict[str, JsonValue]) -> dict[str, JsonValue]:
 
 
 Document: TypeAlias = Annotated[dict[str, JsonValue], AfterValidator(_passed_on)]
+Texts: TypeAlias = Annotated[list[str], FailFast()]  # to count a quarter of a million errors takes longer than a lease
 
 
 class Message(BaseModel):
@@ -228,8 +230,8 @@ class Sitting(Message):
     profile: str
     phase: str
     doing: str
-    violated: list[str]
-    paused_by: list[str]
+    violated: Texts
+    paused_by: Texts
     waits_for: str
 
 
@@ -254,7 +256,7 @@ class Unrecorded(Message):
     """The cell cannot write its journal, so nothing moves: `why`, and what has `ended` that only this word says."""
 
     why: str
-    ended: list[Ended]
+    ended: Annotated[list[Ended], FailFast()]
 
 
 class State(Message):
@@ -284,8 +286,8 @@ class Scene(Message):
 
     type: Literal["scene"] = "scene"
     scene: Document
-    bodies: list[str]
-    gauges: list[str]
+    bodies: Texts
+    gauges: Texts
 
 
 class Path(Message):
@@ -293,7 +295,7 @@ class Path(Message):
 
     type: Literal["path"] = "path"
     invocation: str | None
-    points: list[tuple[float, float]]
+    points: Annotated[list[tuple[float, float]], FailFast()]
 
 
 class Sighting(Message):
@@ -342,9 +344,16 @@ def decode_up(frame: str | bytes) -> Up:
 
 
 def _refused(error: ValidationError) -> ProtocolError:
+    return ProtocolError(f"bad message at {first_problem(error)}")
+
+
+def first_problem(error: ValidationError) -> str:
+    """Return where what a cell says is wrong first, and why; of many places, how many: to list them takes seconds."""
+    if (count := error.error_count()) > MOST_LISTED:
+        return f"`{count}` places: valid is what the protocol says"
     first = error.errors()[0]
     where = ".".join(str(part) for part in first["loc"])
-    return ProtocolError(f"bad message at `{where}`: {first['msg']}")
+    return f"`{where}`: {first['msg']}"
 
 
 # -- telemetry: binary frames ----------------------------------------------------------------------

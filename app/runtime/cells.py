@@ -13,6 +13,7 @@ from app.audit.event import RowWrite
 from app.clock import monotonic_s
 from app.governance.control import GOING_ON
 from app.governance.model import WorldFacts
+from app.protocol import first_problem
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
@@ -399,5 +400,4 @@ def read_world(facts: Mapping[str, Any]) -> WorldFacts:
         # Through JSON, which has no NaN and no infinity: they become null, and null is no number.
         return _WORLD.validate_json(orjson.dumps(facts))
     except ValidationError as error:
-        first = error.errors()[0]
-        raise ValueError(f"`{'.'.join(str(part) for part in first['loc'])}`: {first['msg']}") from error
+        raise ValueError(first_problem(error)) from error

@@ -401,6 +401,32 @@ async def test_what_is_too_long_is_not_read_at_all(runtime: Runtime, cell: HandC
     assert f"valid are `{MAX_READ}`" in told.closed[1]
 
 
+@pytest.mark.parametrize(
+    ("message", "why"),
+    [
+        ({"type": "scene", "scene": {}, "bodies": [1] * 10_000, "gauges": []}, "`scene.bodies.0`: Input should be"),
+        ({"type": "path", "invocation": None, "points": [1] * 10_000}, "`path.points.0`: Input should be"),
+        ({**STATE, "gauges": {str(number): "" for number in range(10_000)}}, "`10000` places: valid is"),
+        ({"type": "beat", **{str(number): "" for number in range(10_000)}}, "`10000` places: valid is"),
+    ],
+)
+async def test_what_is_wrong_in_many_places_is_not_listed(cell: HandCell, message: dict[str, Any], why: str) -> None:
+    """To list a quarter of a million of them took three seconds, in which nobody could stop any cell."""
+    assert cell.attachment is not None
+    await cell.attachment.receive(json.dumps(message))
+    await until(lambda: cell.closed is not None)
+    assert cell.closed is not None
+    assert f"bad message at {why}" in cell.closed[1]
+
+
+async def test_facts_that_are_wrong_in_many_places_are_not_listed(runtime: Runtime, cell: HandCell) -> None:
+    cell.facts = {**AT_BENCH, "tools": {str(number): number for number in range(10_000)}}
+    await cell.state()
+    known = runtime.fleet.cell(CELL)
+    assert runtime.fleet.facts(known).facts is None
+    assert "`10000` places" in str(known.trouble)
+
+
 async def test_only_so_much_is_recorded_at_once(
     runtime: Runtime, cell: HandCell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
