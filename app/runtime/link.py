@@ -55,7 +55,7 @@ MAX_WAITING: Final = 16 * 1024 * 1024  # characters of reports that wait for the
 BATCH_EVENTS: Final = 256
 BATCH: Final = 1024 * 1024  # characters of those: while they are made ready for the record, no word reaches any cell
 MAX_SHOWN: Final = 256 * 1024  # characters of a report, a state, or whatever else is not shown once in a link
-MAX_READ: Final = 512 * 1024  # of any text: while a longer one is read, no word reaches any cell
+MAX_READ: Final = 512 * 1024  # of any message: while a longer one is read or shown, no word reaches any cell
 RETRY_S: Final = 0.5
 DEAD_S: Final = 1.0  # a link that has been silent so long may be replaced
 SILENT_S: Final = 6.0  # and after this it is closed: the socket may hang half open
@@ -258,6 +258,8 @@ class Attachment:
     def _take_bytes(self, frame: bytes) -> None:
         if self.hello is None:
             raise ProtocolError("a link begins with `hello`, not with telemetry")
+        if len(frame) > MAX_READ:
+            raise ProtocolError(f"a message of `{len(frame)}` bytes: valid are `{MAX_READ}`")
         if is_poses(frame):
             self._hub.screens.show(self.cell.id, frame)
             return

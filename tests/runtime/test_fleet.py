@@ -427,6 +427,14 @@ async def test_facts_that_are_wrong_in_many_places_are_not_listed(runtime: Runti
     assert "`10000` places" in str(known.trouble)
 
 
+async def test_poses_that_are_too_many_are_not_passed_on(cell: HandCell) -> None:
+    assert cell.attachment is not None
+    await cell.attachment.receive(pack_poses(1, 0.0, bytes(28 * 20_000), b""))
+    await until(lambda: cell.closed is not None)
+    assert cell.closed is not None
+    assert f"valid are `{MAX_READ}`" in cell.closed[1]
+
+
 async def test_only_so_much_is_recorded_at_once(
     runtime: Runtime, cell: HandCell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
