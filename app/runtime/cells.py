@@ -132,6 +132,7 @@ class Cell:
     stops: int = 0  # emergency stops so far: a reset leaves those before it, none that comes while it is recorded
     journal: str = ""  # the one its reports are numbered in; "" before its first hello
     taken: dict[str, int] = field(default_factory=dict[str, int])  # by journal, the last report that the log holds
+    arriving: asyncio.Lock = field(default_factory=asyncio.Lock)  # its links come and go one after the other
     recording: asyncio.Lock = field(default_factory=asyncio.Lock)  # one batch at a time, whichever link brought it
     takings: int = 0  # how often somebody was given the controls that nobody had
     taking: asyncio.Lock = field(default_factory=asyncio.Lock)  # one taker of an idle cell at a time

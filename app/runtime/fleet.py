@@ -408,7 +408,7 @@ class Fleet:
         if present is not None:
             present.shut(TRY_LATER, "another link took this one's place")
 
-    async def welcome(self, attachment: Attachment, hello: Hello) -> None:
+    def welcome(self, attachment: Attachment, hello: Hello) -> None:
         """Deliver what the cell is owed, stops first, and see what it was doing."""
         cell = attachment.cell
         if cell.latched:
@@ -423,10 +423,15 @@ class Fleet:
         known = None if cell.claim is None else self._register.newest(cell.claim)
         believed = None if known is None or known.status not in SESSION else known.id
         cell.unreconciled = Reunion(hello=hello, believed=believed)
-        if cell.replaced:  # behind what it is owed: no stop waits for the record
-            cell.replaced = False
-            await self._desk.left(cell.id)
-        await self._desk.attached(cell.id, hello)
+
+    async def arrived(self, attachment: Attachment, hello: Hello) -> None:
+        """Record that a cell is there, and that its former link is not: no word to or from it waits for that."""
+        cell = attachment.cell
+        async with cell.arriving:
+            if cell.replaced:
+                cell.replaced = False
+                await self._desk.left(cell.id)
+            await self._desk.attached(cell.id, hello)
         await self.caught_up(attachment)
 
     async def _unrecorded(self, cell: Cell, attachment: Line) -> None:
@@ -482,7 +487,8 @@ class Fleet:
             cell.unreconciled = None
             cell.absent_since_s = monotonic_s()
             self.loosen(cell, "server")  # the cell holds by itself; should it be back before it does, it is told
-            await self._desk.left(cell.id)
+            async with cell.arriving:  # it came before it left
+                await self._desk.left(cell.id)
 
     def closing(self, closing: Coroutine[Any, Any, None]) -> None:
         """Close a socket without waiting for it."""

@@ -90,8 +90,12 @@ class Hub(Protocol):
         """Make this the cell's link. Raises `ProtocolError` where another one lives."""
         ...
 
-    async def welcome(self, attachment: Attachment, hello: Hello) -> None:
+    def welcome(self, attachment: Attachment, hello: Hello) -> None:
         """Deliver what the cell is owed."""
+        ...
+
+    async def arrived(self, attachment: Attachment, hello: Hello) -> None:
+        """Record that the cell is there."""
         ...
 
     async def caught_up(self, attachment: Attachment) -> None:
@@ -148,6 +152,7 @@ class Attachment:
         self._outgoing = asyncio.Event()
         self._incoming = asyncio.Event()
         self._tasks: list[asyncio.Task[None]] = []
+        self._arrival: asyncio.Task[None] | None = None
 
     @property
     def welcomed(self) -> bool:
@@ -274,7 +279,9 @@ class Attachment:
         await self._hub.take_place(self, hello)
         self.hello = hello
         self._next_seq = self.cell.up_seq + 1
-        self._tasks = [asyncio.create_task(self._drain()), asyncio.create_task(self._record(hello.journal))]
+        self._arrival = asyncio.create_task(self._hub.arrived(self, hello))
+        recording = asyncio.create_task(self._record(self._arrival, hello.journal))
+        self._tasks = [asyncio.create_task(self._drain()), recording]
         for task in self._tasks:
             task.add_done_callback(self._broke)
         self.post(
@@ -287,7 +294,7 @@ class Attachment:
         )
         if hello.policy_digest != self._hub.policy_digest:
             self.post(Policy(digest=self._hub.policy_digest, files=dict(self._hub.policy_files)))
-        await self._hub.welcome(self, hello)
+        self._hub.welcome(self, hello)
 
     def _queue(self, event: UpEvent, length: int) -> None:
         if event.seq < self._next_seq:
@@ -306,7 +313,8 @@ class Attachment:
         self._waiting += length
         self._incoming.set()
 
-    async def _record(self, journal: str) -> None:
+    async def _record(self, arrival: asyncio.Task[None], journal: str) -> None:
+        await asyncio.shield(arrival)  # a disk may take its time for that; what else the cell says is heard meanwhile
         while True:
             await self._incoming.wait()
             self._incoming.clear()

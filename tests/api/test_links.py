@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import asyncio
 from dataclasses import replace
+from typing import Any
 from urllib.parse import quote
 
 import orjson
@@ -14,7 +15,7 @@ from app.api import links
 from app.api.auth import issue_token
 from app.api.sockets import MOST_AT_ONCE
 from app.governance.model import Role
-from app.protocol import ROW, ProtocolError, pack_batch, unpack_batch
+from app.protocol import ROW, Policy, ProtocolError, pack_batch, unpack_batch
 from app.runtime.link import Attachment
 from tests.api.conftest import CELL, House
 
@@ -122,6 +123,28 @@ async def test_what_waits_of_one_link_leaves_the_others_their_turn(
         taken = "".join(order)  # and not what comes once nobody else is there
         other.cancel()
     assert max(map(len, taken.split(" "))) < 10
+
+
+async def test_a_cell_is_heard_while_the_record_takes_its_time_for_its_coming(
+    house: House, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    append, go = house.runtime.store.append, asyncio.Event()
+
+    async def slow(*given: Any) -> list[int]:
+        await go.wait()
+        return await append(*given)
+
+    monkeypatch.setattr(house.runtime.store, "append", slow)
+    headers = {"Authorization": f"Bearer {house.cell_token}"}
+    try:
+        async with connect(link_url(house, "slow"), additional_headers=headers, proxy=None) as socket:
+            await socket.send(greeting("slow"))
+            await socket.send('{"type":"beat","n":7}')
+            async with asyncio.timeout(10.0):
+                while '"n":7' not in str(await socket.recv()):
+                    pass
+    finally:
+        go.set()
 
 
 @pytest.mark.parametrize("name", [b"inv_\xff", "übung".encode()])

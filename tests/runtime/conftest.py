@@ -139,6 +139,8 @@ class HandCell:
         }
         self.attachment = await self.runtime.fleet.attach(self.id, self)
         await self.attachment.receive(encode(Hello(**hello)))
+        if (arrival := self.attachment._arrival) is not None:
+            await asyncio.wait({arrival})
         return self
 
     async def hang_up(self) -> None:

@@ -243,6 +243,38 @@ async def test_links_that_come_and_go_push_nothing_else_out_of_what_waits_for_th
         assert runtime.fleet.cell(CELL).taken == {"jrn-1": 1, "jrn-2": 1}
 
 
+async def test_links_that_come_and_go_faster_than_the_record_takes_it_are_recorded_in_order(
+    house: House, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async with house.open() as runtime:
+        append, go = runtime.store.append, asyncio.Event()
+
+        async def slow(drafts: Sequence[EventDraft], rows: Sequence[RowWrite] = ()) -> list[int]:
+            await go.wait()
+            return await append(drafts, rows)
+
+        with monkeypatch.context() as disk:
+            disk.setattr(runtime.store, "append", slow)
+            links = [
+                HandCell(runtime, invocation="inv_of_long_ago"),  # which the record is asked about
+                HandCell(runtime, journal="jrn-2"),
+            ]
+            leaving: list[asyncio.Future[None]] = []
+            for link in links:
+                dialling = asyncio.ensure_future(link.dial())
+                await until(lambda link=link: bool(link.all("welcome")))
+                if link is links[0]:
+                    leaving += [dialling, asyncio.ensure_future(link.hang_up())]
+                    await until(lambda: not runtime.fleet.attached(runtime.fleet.cell(CELL)))
+            go.set()
+            await asyncio.gather(*leaving, dialling)
+        await links[1].report("cell", what="started")
+        told = [(one["link"], one.get("journal")) for event in await runtime.store.events(kind="cell")
+                if "link" in (one := event.payload())]  # fmt: skip
+        assert told == [("attached", "jrn-1"), ("lost", None), ("attached", "jrn-2")]
+    # and the log counts the report in its journal: see `House.open`
+
+
 async def test_a_link_that_hangs_is_closed(runtime: Runtime, cell: HandCell) -> None:
     assert cell.attachment is not None
     cell.attachment.heard_s -= 60.0
