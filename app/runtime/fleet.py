@@ -528,24 +528,26 @@ class Fleet:
         self._desk.check(cell.id, event)
 
     @uncut
-    async def record(self, cell: Cell, journal: str, batch: Sequence[UpEvent]) -> None:
+    async def record(self, attachment: Line, batch: Sequence[UpEvent]) -> None:
         """Record what of a batch the log does not hold yet, and how far it has come then.
 
         Runs to its end even if the link that brought the batch is gone meanwhile: what the record has taken is known
         to have been taken, also to the next link.
 
         Args:
-            cell: whose reports they are.
-            journal: which journal they are numbered in.
+            attachment: which link brought it.
             batch: the reports, in order.
 
         Raises:
             RecordUnavailable: nothing was recorded.
-            ProtocolError: a report the cell may not make, or another link numbers them in another journal by now.
+            ProtocolError: a report the cell may not make, or the cell has not this link any more.
         """
+        cell = attachment.cell
         async with cell.recording:
-            if journal != cell.journal:  # the log would count them in that one; they are sent again in their own
-                raise ProtocolError(f"another link of `{cell.id}` has the journal `{cell.journal}`")
+            # The log counts reports in the journal of the link that it knows of last: these are sent again on theirs.
+            if cell.attachment is not attachment:
+                raise ProtocolError(f"the cell `{cell.id}` has another link by now, or none")
+            journal = cell.journal
             # By the `attached` in front of them the log tells which journal reports count in.
             if not await self._register.say_unsaid():
                 raise RecordUnavailable("what came before is not recorded yet")

@@ -126,7 +126,7 @@ class Hub(Protocol):
         """Refuse a report that this cell may not make. Raises `ProtocolError`."""
         ...
 
-    def record(self, cell: Cell, journal: str, batch: Sequence[UpEvent]) -> Coroutine[Any, Any, None]:
+    def record(self, attachment: Attachment, batch: Sequence[UpEvent]) -> Coroutine[Any, Any, None]:
         """Record a batch of reports. Raises `RecordUnavailable`, `ProtocolError`."""
         ...
 
@@ -280,7 +280,7 @@ class Attachment:
         self.hello = hello
         self._next_seq = self.cell.up_seq + 1
         self._arrival = asyncio.create_task(self._hub.arrived(self, hello))
-        recording = asyncio.create_task(self._record(self._arrival, hello.journal))
+        recording = asyncio.create_task(self._record(self._arrival))
         self._tasks = [asyncio.create_task(self._drain()), recording]
         for task in self._tasks:
             task.add_done_callback(self._broke)
@@ -313,14 +313,14 @@ class Attachment:
         self._waiting += length
         self._incoming.set()
 
-    async def _record(self, arrival: asyncio.Task[None], journal: str) -> None:
+    async def _record(self, arrival: asyncio.Task[None]) -> None:
         await asyncio.shield(arrival)  # a disk may take its time for that; what else the cell says is heard meanwhile
         while True:
             await self._incoming.wait()
             self._incoming.clear()
             while self._reports:
                 batch = self._batch()
-                if not await self._recorded(journal, batch):
+                if not await self._recorded(batch):
                     await asyncio.sleep(RETRY_S)
                     continue
                 for _ in batch:
@@ -334,9 +334,9 @@ class Attachment:
         ends = accumulate(islice(self._lengths, BATCH_EVENTS))
         return list(islice(self._reports, max(1, sum(end <= BATCH for end in ends))))
 
-    async def _recorded(self, journal: str, batch: Sequence[UpEvent]) -> bool:
+    async def _recorded(self, batch: Sequence[UpEvent]) -> bool:
         try:
-            await self._hub.record(self.cell, journal, batch)
+            await self._hub.record(self, batch)
         except RecordUnavailable:
             return False
         except (ProtocolError, EventMalformed) as error:  # the second: what JSON may say and the record cannot

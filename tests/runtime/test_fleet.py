@@ -215,6 +215,45 @@ async def test_what_a_replaced_link_brought_counts_in_no_other_journal(
     # and the log says so: see `House.open`
 
 
+async def test_what_a_link_brought_that_was_replaced_twice_counts_in_its_own_journal(
+    runtime: Runtime, cell: HandCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    append, go, tried = runtime.store.append, asyncio.Event(), asyncio.Event()
+
+    async def full(*_: Any) -> None:
+        tried.set()
+        raise RecordUnavailable("the disk is full")
+
+    async def slow(drafts: Sequence[EventDraft], rows: Sequence[RowWrite]) -> list[int]:
+        if rows:
+            await go.wait()
+        return await append(drafts, rows)
+
+    await cell.report("cell", what="started")
+    monkeypatch.setattr(runtime.store, "append", full)
+    unsent = cell.event("cell", what="started")
+    await cell.say(unsent)
+    await tried.wait()
+    monkeypatch.setattr(runtime.store, "append", slow)
+    links = [cell, HandCell(runtime, journal="jrn-2"), HandCell(runtime, seq=cell.seq)]
+    dialling: list[asyncio.Future[HandCell]] = []
+    for former, link in pairwise(links):
+        assert former.attachment is not None
+        former.attachment.heard_s -= 2.0
+        dialling.append(asyncio.ensure_future(link.dial()))
+        await until(lambda link=link: bool(link.all("welcome")))
+        await asyncio.sleep(1.5 * RETRY_S)  # by then the first has tried again
+    go.set()
+    await asyncio.gather(*dialling)
+    await links[-1].say(unsent)
+    await links[-1].acknowledged(unsent.seq)
+    for former in links[:-1]:
+        assert former.attachment is not None
+        await former.attachment.detach()
+    assert runtime.fleet.cell(CELL).taken == {"jrn-1": 2}
+    # and the log says so: see `House.open`
+
+
 async def test_links_that_come_and_go_push_nothing_else_out_of_what_waits_for_the_record(
     house: House, monkeypatch: pytest.MonkeyPatch
 ) -> None:
