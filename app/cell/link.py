@@ -11,8 +11,9 @@ How one connection goes:
    again, and nothing launches until the next `Welcome`; a frame that comes too late mends nothing. The link closes as
    well when frames come, but none by which the server has heard this cell lately: on a line that holds words back for
    seconds a stop would come as late, and nobody would know.
-5. Events go up in order from the first that the server has not acknowledged, on every connection again. A server that
-   has fewer than before was put back to an older copy of its record: it gets again what the journal's file still holds,
+5. Events go up in order from the first that the server has not acknowledged, on every connection again, and never many
+   (`MOST_AHEAD`) before it acknowledges: what else there is to say does not wait behind all of them. A server that has
+   fewer than before was put back to an older copy of its record: it gets again what the journal's file still holds,
    and where that is not all of it, nothing, since it would refuse the gap.
 
 Nothing here decides: orders go to the runner as they came, authorizations with their signature.
@@ -75,6 +76,7 @@ STABLE_S: Final = 1.0
 PATIENCE_S: Final = 5.0  # for the handshake and the welcome
 FAREWELL_S: Final = 0.5  # for the last events to be acknowledged
 MIND_S: Final = 0.05
+MOST_AHEAD: Final = 1024  # reports behind the last that was acknowledged: a server lets no more than 4,096 wait
 MAX_FRAME_BYTES: Final = 16 * 1024 * 1024
 MAX_WHY: Final = 300
 
@@ -386,7 +388,7 @@ class Link:
         while True:
             await self._wake.wait()
             self._wake.clear()
-            for event in () if self._missing else self._outbox.after(sent):
+            for event in () if self._missing else self._outbox.after(sent, self._acknowledged + MOST_AHEAD):
                 await socket.send(protocol.encode(event))
                 sent = event.seq
             while self._outbox.batches:

@@ -189,9 +189,9 @@ class Outbox:
         while self.events and self.events[0].seq <= seq:
             self.events.popleft()
 
-    def after(self, seq: int) -> Sequence[UpEvent]:
-        """Return the events behind a sequence number, in order."""
-        return [event for event in tuple(self.events) if event.seq > seq]
+    def after(self, seq: int, last: int) -> Sequence[UpEvent]:
+        """Return the events behind a sequence number and up to another, in order."""
+        return [event for event in tuple(self.events) if seq < event.seq <= last]
 
 
 class TickLoop:

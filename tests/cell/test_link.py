@@ -17,7 +17,7 @@ from websockets.exceptions import ConnectionClosed
 from app import protocol, workcell
 from app.cell.journal import Entry, Journal
 from app.cell.latch import Latch
-from app.cell.link import Identity, Link
+from app.cell.link import MOST_AHEAD, Identity, Link
 from app.cell.loop import Lease, NewPolicy, Order, Outbox, TickLoop, Welcomed
 from app.cell.pin import KeyPin, LinkRefused
 from app.config import CellSettings
@@ -363,6 +363,24 @@ async def test_sends_reports_in_order_and_again_after_a_reconnect(tmp_path: Path
         newest = cell.script.of(Hello)[-1]
         assert isinstance(newest, Hello)
         assert (newest.policy_digest, newest.last_seq) == (DIGEST, 3)
+
+
+@pytest.mark.anyio
+async def test_sends_no_more_reports_ahead_than_a_server_lets_wait_and_says_what_else_there_is(tmp_path: Path) -> None:
+    async with rig(tmp_path) as cell:
+        await until(lambda: cell.script.of(State))
+        for seq in range(1, MOST_AHEAD + 101):
+            cell.outbox.event(event(seq))
+        await until(lambda: len(cell.script.of(UpEvent)) >= MOST_AHEAD)
+        cell.outbox.batch(b"RTM1")  # goes behind whatever was sent
+        await until(lambda: cell.script.frames)
+        assert len(cell.script.of(UpEvent)) == MOST_AHEAD
+        await cell.script.say(Ack(seq=60))
+        await until(lambda: len(cell.script.of(UpEvent)) >= MOST_AHEAD + 60)
+        await cell.script.say(Ack(seq=MOST_AHEAD))
+        await until(lambda: len(cell.script.of(UpEvent)) >= MOST_AHEAD + 100)
+        reports = [one.seq for one in cell.script.of(UpEvent) if isinstance(one, UpEvent)]
+        assert reports == list(range(1, MOST_AHEAD + 101))
 
 
 async def reported(cell: Rig, count: int) -> None:
