@@ -131,7 +131,7 @@ class TelemetryWriter:
     def __init__(
         self, path: Path, channels: Sequence[Channel], *, start_wall_s: float, row_format: str | None = None
     ) -> None:
-        """Open the file.
+        """Begin; the thread opens the file, which a disk may take its time for as well.
 
         Args:
             path: where the complete file will stand.
@@ -140,7 +140,6 @@ class TelemetryWriter:
             row_format: the `struct` format of a packed row; float64 for the time and float32 for the rest by default.
 
         Raises:
-            RecordUnavailable: the file cannot be created.
             ValueError: no channels, a name twice, or a format that packs another number of values.
         """
         self.path = path
@@ -154,12 +153,7 @@ class TelemetryWriter:
         self._taken, self._written = 0, 0  # rows and the like: each is counted in one thread alone
         self._error: Exception | None = None
         self._counts = (0, 0)
-        try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            file = self._draft.open("wb")
-        except OSError as error:
-            raise _unwritten(error) from error
-        arguments = (file, tuple(channels), start_wall_s)
+        arguments = (tuple(channels), start_wall_s)
         self._thread = threading.Thread(target=self._work, args=arguments, name=f"telemetry-{path.stem}", daemon=True)
         self._thread.start()
 
@@ -213,7 +207,7 @@ class TelemetryWriter:
         """Write what is left, complete the file, and return its digest. Blocks; see `aclose`.
 
         Raises:
-            RecordUnavailable: the file could not be written; what there is of it keeps the name `….partial`.
+            RecordUnavailable: the file could not be made or written; what there is of it keeps the name `….partial`.
         """
         self._waiting.put(None)
         self._thread.join()
@@ -243,10 +237,11 @@ class TelemetryWriter:
         self._waiting.put_nowait((work, count))  # nobody else puts
         self._taken += count
 
-    def _work(self, file: BinaryIO, channels: tuple[Channel, ...], start_wall_s: float) -> None:
+    def _work(self, channels: tuple[Channel, ...], start_wall_s: float) -> None:
         closed = False
         try:
-            with file:
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+            with self._draft.open("wb") as file:
                 tape = _Tape(file, channels, start_wall_s)
                 while (given := self._waiting.get()) is not None:
                     work, count = given

@@ -43,11 +43,10 @@ class Telemetry:
         self._wall_s = wall_s
         self._channels = channels(CHANNELS)
         self._writers: dict[str, TelemetryWriter] = {}
-        self._failed: dict[str, str] = {}
 
     def open(self) -> list[str]:
         """Return the sessions whose files are not sealed yet."""
-        return [*self._writers, *self._failed]
+        return [*self._writers]
 
     def unsealed(self) -> Counter[str]:
         """Return of how many files of each session an earlier run of the server left only what it had written."""
@@ -55,29 +54,18 @@ class Telemetry:
 
     def write(self, invocation: str, rows: Sequence[tuple[float, ...]]) -> None:
         """Take rows of a session."""
-        writer = self._writer(invocation)
-        if writer is not None:
-            writer.write_rows(rows)
+        self._writer(invocation).write_rows(rows)
 
     def sight(self, sighting: Sighting) -> None:
         """Take where people and things were in a session."""
-        writer = self._writer(sighting.invocation)
-        if writer is not None:
-            writer.sighting(sighting.time_s, sighting.people, sighting.bodies)
+        self._writer(sighting.invocation).sighting(sighting.time_s, sighting.people, sighting.bodies)
 
-    def _writer(self, invocation: str) -> TelemetryWriter | None:
-        """Return the writer of a session's file, opened if need be; None where it cannot be."""
-        if invocation in self._failed:
-            return None
+    def _writer(self, invocation: str) -> TelemetryWriter:
+        """Return the writer of a session's file, begun if need be."""
         writer = self._writers.get(invocation)
         if writer is None:
             path = self._free_path(invocation)
-            try:
-                writer = TelemetryWriter(path, self._channels, start_wall_s=self._wall_s())
-            except RecordUnavailable as error:
-                self._failed[invocation] = str(error)
-                return None
-            self._writers[invocation] = writer
+            writer = self._writers[invocation] = TelemetryWriter(path, self._channels, start_wall_s=self._wall_s())
         return writer
 
     def note(self, *events: UpEvent) -> None:
@@ -100,8 +88,7 @@ class Telemetry:
         With `lost`, its cell was lost, and with it the rows that it had not sent: the event says so, file or none.
         """
         writer = self._writers.pop(invocation, None)
-        failed = self._failed.pop(invocation, None)
-        body: dict[str, str | int] = {} if failed is None else {"failed": failed}
+        body: dict[str, str | int] = {}
         if writer is not None:
             try:
                 body = (await writer.aclose()).body()

@@ -6,6 +6,7 @@ import hashlib
 import json
 import os
 import struct
+import threading
 import tracemalloc
 from math import inf, nan, pi
 from pathlib import Path
@@ -237,7 +238,22 @@ def test_refuses_a_format_for_other_channels(tmp_path: Path, names: tuple[str, .
 def test_a_folder_that_cannot_be_written_is_said(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(RecordUnavailable, match=r"telemetry file: File exists$"):  # and not where, on the server
-        open_writer(tmp_path / "file" / "a.mcap")
+        open_writer(tmp_path / "file" / "a.mcap").close()
+
+
+def test_a_disk_that_takes_its_time_to_make_the_file_is_not_waited_for(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "a.mcap.partial")  # whoever opens that waits until somebody reads
+    made: list[TelemetryWriter] = []
+    beginning = threading.Thread(target=lambda: made.append(open_writer(tmp_path / "a.mcap")), daemon=True)
+    beginning.start()
+    beginning.join(10.0)
+    waited = beginning.is_alive()
+    reader = os.open(tmp_path / "a.mcap.partial", os.O_RDONLY)
+    beginning.join()
+    os.close(reader)
+    with pytest.raises(RecordUnavailable, match="telemetry"):
+        made[0].close()
+    assert not waited
 
 
 @pytest.mark.parametrize("rows", [4000, 20], ids=["while it is written", "when it is finished"])
