@@ -150,7 +150,7 @@ class TelemetryWriter:
         self._draft = path.with_name(path.name + ".partial")
         self._waiting: queue.Queue[tuple[Callable[[_Tape], None], int] | None] = queue.Queue(MAX_WAITING)
         self._dropped = 0
-        self._taken, self._written = 0, 0  # rows and the like: each is counted in one thread alone
+        self._taken, self._written = 0, 0  # rows, and what holds as much: each is counted in one thread alone
         self._error: Exception | None = None
         self._counts = (0, 0)
         arguments = (tuple(channels), start_wall_s)
@@ -201,7 +201,7 @@ class TelemetryWriter:
             people: (number, x, y) as the tracker said, metres.
             bodies: poses x, y, z, qw, qx, qy, qz of those that have moved.
         """
-        self._put(lambda tape: tape.sighting(time_s, people, bodies), 1)
+        self._put(lambda tape: tape.sighting(time_s, people, bodies), 1, holds=1 + len(people) + len(bodies))
 
     def close(self) -> TelemetryFile:
         """Write what is left, complete the file, and return its digest. Blocks; see `aclose`.
@@ -230,12 +230,14 @@ class TelemetryWriter:
         """Do what `close` does without blocking the event loop."""
         return await asyncio.to_thread(self.close)
 
-    def _put(self, work: Callable[[_Tape], None], count: int) -> None:
-        if self._waiting.full() or self._taken - self._written + count > MAX_WAITING_ROWS:
+    def _put(self, work: Callable[[_Tape], None], count: int, *, holds: int | None = None) -> None:
+        """Have so many things written, which hold as much as so many rows; as many as they are unless said."""
+        held = count if holds is None else holds
+        if self._waiting.full() or self._taken - self._written + held > MAX_WAITING_ROWS:
             self._dropped += count  # the session goes first; the loss is counted and stands in the record
             return
-        self._waiting.put_nowait((work, count))  # nobody else puts
-        self._taken += count
+        self._waiting.put_nowait((work, held))  # nobody else puts
+        self._taken += held
 
     def _work(self, channels: tuple[Channel, ...], start_wall_s: float) -> None:
         closed = False
@@ -244,9 +246,9 @@ class TelemetryWriter:
             with self._draft.open("wb") as file:
                 tape = _Tape(file, channels, start_wall_s)
                 while (given := self._waiting.get()) is not None:
-                    work, count = given
+                    work, held = given
                     work(tape)
-                    self._written += count
+                    self._written += held
                 closed = True
                 tape.finish()
                 file.flush()

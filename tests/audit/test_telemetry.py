@@ -285,6 +285,18 @@ def test_rows_beyond_what_may_wait_are_dropped_and_counted(
         writer.close()
 
 
+def test_sightings_of_much_wait_as_the_rows_that_hold_as_much(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("app.audit.telemetry.MAX_WAITING_ROWS", 1000)
+    os.mkfifo(tmp_path / "a.mcap.partial")  # which nobody reads yet
+    writer = open_writer(tmp_path / "a.mcap")
+    for _ in range(10):
+        writer.sighting(0.0, [], {f"box_{number}": (0.0,) * 7 for number in range(256)})
+    assert writer._dropped == 7
+    os.close(os.open(tmp_path / "a.mcap.partial", os.O_RDONLY))
+    with pytest.raises(RecordUnavailable, match="telemetry"):
+        writer.close()
+
+
 def test_of_a_long_session_no_more_is_held_than_is_shown(tmp_path: Path) -> None:
     held: list[int] = []
     for count in (200, 2000):
