@@ -17,6 +17,7 @@ A report bears its number (`cell_seq`) and stands behind the `attached` of its l
 
 from __future__ import annotations
 
+from heapq import merge
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, cast
 
 import orjson
@@ -32,7 +33,7 @@ if TYPE_CHECKING:
 NOT_CONFIRMED: Final = "not_confirmed"  # a word of which the cell has not said that it heard it
 CONFIRMED: Final = "confirmed"  # that it came to what it was said for all the same
 LATCHED: Final = "latched"  # the server's word for a latch of which the row could not be written when it was due
-PAGE: Final = 500
+PAGE: Final = 50  # events, each of which may be a quarter of a megabyte
 _WORDS: Final = {
     EventKind.HUMAN: ('"op":"estop"', '"op":"reset"'),
     EventKind.CELL: tuple(f'"what":"{what}"' for what in ("estop", "reset", NOT_CONFIRMED, CONFIRMED, LATCHED)),
@@ -77,8 +78,7 @@ def latches(reader: Reader) -> dict[str, Latch]:
         EventUnreadable: an event is none, of a log that was not verified.
     """
     found: dict[str, Latch] = {}
-    told = [event for kind, words in _WORDS.items() for event in _all(reader, words, kind=kind)]
-    for event in sorted(told):
+    for event in merge(*(_all(reader, words, kind=kind) for kind, words in _WORDS.items())):
         body: dict[str, Any] = event.payload()
         named = event.actor if NUMBER in body else body.get("cell")
         if isinstance(named, str):

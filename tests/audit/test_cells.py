@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import tracemalloc
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
 import orjson
 import pytest
 
-from app.audit.cells import Latch, cell_problems, latches, reported
+from app.audit.cells import PAGE, Latch, cell_problems, latches, reported
 from app.audit.event import EventDraft, RowWrite
 from app.audit.reader import Reader
 from app.audit.store import AuditStore
@@ -81,6 +83,20 @@ async def test_every_cell_has_a_stop_of_its_own_however_long_the_log(store: Audi
         CELL,
         *(f"cell-{n}" for n in (0, 1, 2, 4, 5, 6)),
     }
+
+
+async def test_however_much_cells_say_of_stops_no_more_is_held_than_is_read_at_a_time(store: AuditStore) -> None:
+    held: list[int] = []
+    for count in (PAGE, 4 * PAGE):
+        for _ in range(count):
+            await store.append([told("estop", detail="x" * 50_000)])
+        with closing(Reader(store.places.database)) as reader:
+            latches(reader)
+            tracemalloc.start()
+            assert latches(reader)[CELL].latched
+            held.append(tracemalloc.get_traced_memory()[1])
+            tracemalloc.stop()
+    assert held[1] < 2 * held[0]
 
 
 # -- reports -----------------------------------------------------------------------------------------------------------
