@@ -183,6 +183,8 @@ class Sockets(WebSocketsSansIOProtocol):
         if message["type"] == "websocket.send" and self.scope["path"] == CONSOLE_PATH:
             await self._show(message)
             return
+        if message["type"] == "websocket.close":
+            self.writable.set()  # also where the peer reads nothing: the application waits to be told that it is over
         if message["type"] == "websocket.accept" and self.scope["path"] != CONSOLE_PATH:
             self.conn.max_message_size = self.config.ws_max_size
         await super().send(message)

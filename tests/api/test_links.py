@@ -125,6 +125,23 @@ async def test_what_waits_of_one_link_leaves_the_others_their_turn(
     assert max(map(len, taken.split(" "))) < 10
 
 
+async def test_a_link_whose_cell_reads_nothing_is_over_once_it_is_shut(house: House) -> None:
+    headers = {"Authorization": f"Bearer {house.cell_token}"}
+    fleet = house.runtime.fleet
+    policy = Policy(digest=fleet.policy_digest, files=dict(fleet.policy_files))
+    async with connect(link_url(house, "deaf"), additional_headers=headers, proxy=None, ping_interval=None) as socket:
+        await socket.send(greeting("deaf"))
+        await socket.recv()
+        attachment = fleet.cell("deaf").attachment
+        assert attachment is not None
+        while not attachment.closed:  # until so much waits that it is shut for that
+            attachment.post(policy)
+            await asyncio.sleep(0)
+        async with asyncio.timeout(10.0):
+            while fleet.cell("deaf").attachment is not None:
+                await asyncio.sleep(0.01)
+
+
 async def test_a_cell_is_heard_while_the_record_takes_its_time_for_its_coming(
     house: House, monkeypatch: pytest.MonkeyPatch
 ) -> None:
