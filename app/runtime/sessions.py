@@ -440,7 +440,7 @@ class Sessions:
             await self._register.append(drafts, rows, [ended])
             if open_question is not None:
                 self._desk.hold(open_question)
-        await self._sealed(name, lost=code in LOST_WITH_CELL)
+        self._seal_soon(ended, ended.cell or "")  # no other cell waits for what this one's file takes
 
 
 def _last_word(known: Invocation, events: Sequence[Event]) -> dict[str, Any] | None:

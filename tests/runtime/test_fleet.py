@@ -827,6 +827,34 @@ async def test_a_cell_that_was_lost_before_it_sent_anything_leaves_word_of_it(ru
     assert "file" not in body
 
 
+async def test_what_is_overdue_of_one_cell_waits_for_no_telemetry_of_another(
+    runtime: Runtime, cell: HandCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    go, close = threading.Event(), TelemetryWriter.close
+
+    def stalled(writer: TelemetryWriter) -> TelemetryFile:
+        go.wait(60.0)
+        return close(writer)
+
+    monkeypatch.setattr(TelemetryWriter, "close", stalled)
+    other = await HandCell(runtime, id="workcell-2").dial()
+    await other.state()
+    name, (document, _) = await running(runtime, cell), await runtime.governor.propose(AGENT, navigate(cell=other.id))
+    await other.launched(document["id"])
+    assert cell.attachment is not None
+    await cell.attachment.receive(pack_batch(name, row(0.1)))
+    away_s = monotonic_s() - 60.0
+    for link in (cell, other):
+        await link.hang_up()
+    runtime.fleet.cell(CELL).absent_since_s = away_s
+    await until(lambda: runtime.register.newest(name) is None)
+    try:
+        await until(lambda: runtime.desk.pending_for(document["id"]) is not None)
+    finally:
+        go.set()
+    assert (await sealed_telemetry(runtime))["rows"] == 1
+
+
 async def test_where_people_and_things_were_goes_into_the_telemetry(runtime: Runtime, cell: HandCell) -> None:
     name = await running(runtime, cell)
     assert cell.attachment is not None
