@@ -385,10 +385,17 @@ class Sessions:
         return waited_s > most_s or self._register.now_s() > since_s + most_s
 
     async def _phase(self, invocation: Invocation) -> str | None:
-        """Return the phase that a held session waits for, by the last question about it."""
+        """Return the phase that a held session waits for, by the last question about it.
+
+        Raises:
+            RecordUnavailable: the record cannot say now.
+        """
         if invocation.status is not Status.ESCALATED:
             return None
-        last = last_question(await events_of(self._register.store, invocation=invocation.id))
+        try:
+            last = last_question(await events_of(self._register.store, invocation=invocation.id))
+        except AuditError as error:
+            raise RecordUnavailable(str(error)) from error
         return None if last is None else last.get("phase")
 
     def _sessions_of(self, cell: str) -> list[Invocation]:

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from app.audit.errors import RecordUnavailable
+from app.audit.errors import RecordUnavailable, RecordUnreadable
 from app.audit.places import Places
 from app.clock import monotonic_s
 from app.governance.control import LAPSE_S
@@ -384,6 +384,31 @@ async def test_who_let_a_session_go_on_is_asked_again_though_the_clock_was_put_b
         assert question is not None
         house.wall_s.offset_s = -3600.0
         await answered_unheard(runtime, cell, question)
+        monkeypatch.setattr("app.runtime.sessions.GOES_ON_S", 0.0)
+        await runtime.fleet.tend_once()
+        asked = runtime.desk.pending_for(name)
+        assert asked is not None
+        assert asked.reasons[0]["code"] == "not_gone_on"
+
+
+async def test_whoever_is_to_be_asked_again_is_asked_once_the_record_can_be_read(
+    house: House, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def unreadable(**_: Any) -> Any:
+        raise RecordUnreadable(Places(house.folder).database, "disk I/O error")
+
+    async with house.open() as runtime:
+        cell = await slow_cell(runtime)
+        name = await running(runtime, cell)
+        await cell.report("escalation", name, reason="separation_m")
+        question = runtime.desk.pending_for(name)
+        assert question is not None
+        await answered_unheard(runtime, cell, question)
+        with monkeypatch.context() as disk:
+            disk.setattr(runtime.store, "events", unreadable)
+            disk.setattr("app.runtime.sessions.GOES_ON_S", 0.0)
+            await runtime.fleet.tend_once()
+        assert runtime.governor.broken == ""
         monkeypatch.setattr("app.runtime.sessions.GOES_ON_S", 0.0)
         await runtime.fleet.tend_once()
         asked = runtime.desk.pending_for(name)
