@@ -19,7 +19,7 @@ import struct
 from typing import Annotated, Literal, TypeAlias
 
 import orjson
-from pydantic import AfterValidator, BaseModel, ConfigDict, FailFast, Field, JsonValue, TypeAdapter, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, JsonValue, TypeAdapter, ValidationError
 
 from app.governance.control import GOING_ON
 
@@ -28,7 +28,7 @@ BEAT_MS = 75
 AGED_MS = 1500  # there and back again, beats included
 STATE_MS = 100
 VERSION = 17
-MOST_LISTED = 1000  # errors of one message
+MOST_LISTED = 1000  # errors of one message: to list a quarter of a million takes seconds
 
 
 Count: TypeAlias = Annotated[int, Field(strict=True, ge=0, lt=2**63)]  # as the record can write down
@@ -45,7 +45,6 @@ def _passed_on(document: dict[str, JsonValue]) -> dict[str, JsonValue]:
 
 
 Document: TypeAlias = Annotated[dict[str, JsonValue], AfterValidator(_passed_on)]
-Texts: TypeAlias = Annotated[list[str], FailFast()]  # to count a quarter of a million errors takes longer than a lease
 
 
 class Message(BaseModel):
@@ -230,8 +229,8 @@ class Sitting(Message):
     profile: str
     phase: str
     doing: str
-    violated: Texts
-    paused_by: Texts
+    violated: list[str]
+    paused_by: list[str]
     waits_for: str
 
 
@@ -256,7 +255,7 @@ class Unrecorded(Message):
     """The cell cannot write its journal, so nothing moves: `why`, and what has `ended` that only this word says."""
 
     why: str
-    ended: Annotated[list[Ended], FailFast()]
+    ended: list[Ended]
 
 
 class State(Message):
@@ -286,8 +285,8 @@ class Scene(Message):
 
     type: Literal["scene"] = "scene"
     scene: Document
-    bodies: Texts
-    gauges: Texts
+    bodies: list[str]
+    gauges: list[str]
 
 
 class Path(Message):
@@ -295,7 +294,7 @@ class Path(Message):
 
     type: Literal["path"] = "path"
     invocation: str | None
-    points: Annotated[list[tuple[float, float]], FailFast()]
+    points: list[tuple[float, float]]
 
 
 class Sighting(Message):
@@ -348,7 +347,7 @@ def _refused(error: ValidationError) -> ProtocolError:
 
 
 def first_problem(error: ValidationError) -> str:
-    """Return where what a cell says is wrong first, and why; of many places, how many: to list them takes seconds."""
+    """Return where what a cell says is wrong first, and why; of many places, how many."""
     if (count := error.error_count()) > MOST_LISTED:
         return f"`{count}` places: valid is what the protocol says"
     first = error.errors()[0]

@@ -56,6 +56,7 @@ BATCH_EVENTS: Final = 256
 BATCH: Final = 1024 * 1024  # characters of those: while they are made ready for the record, no word reaches any cell
 MAX_SHOWN: Final = 256 * 1024  # characters of a report, a state, or whatever else is not shown once in a link
 MAX_READ: Final = 512 * 1024  # of any message: while a longer one is read or shown, no word reaches any cell
+MOST_VALUES: Final = 20_000  # of any text, counted by its commas: each may be an error, and takes its time
 RETRY_S: Final = 0.5
 DEAD_S: Final = 1.0  # a link that has been silent so long may be replaced
 SILENT_S: Final = 6.0  # and after this it is closed: the socket may hang half open
@@ -230,6 +231,8 @@ class Attachment:
     async def _take(self, frame: str) -> None:
         if len(frame) > MAX_READ:
             raise ProtocolError(f"a message of `{len(frame)}` characters: valid are `{MAX_READ}`")
+        if frame.count(",") > MOST_VALUES:
+            raise ProtocolError(f"a message of more than `{MOST_VALUES}` values")
         message = decode_up(frame)
         if self.hello is None:
             if not isinstance(message, Hello):
