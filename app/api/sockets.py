@@ -170,7 +170,12 @@ class Sockets(WebSocketsSansIOProtocol):
     def on_task_complete(self, task: asyncio.Task[None]) -> None:
         """Cut what the application is done with, if the peer does not let go of it."""
         super().on_task_complete(task)
-        self.loop.call_later(LET_GO_S, self.transport.abort)
+        self.loop.call_later(LET_GO_S, self._cut)
+
+    def _cut(self) -> None:
+        """End the connection, unless that is over: asyncio cuts none that was closed once all was written."""
+        if not self.disconnected:
+            self.transport.abort()
 
     def handle_connect(self, event: Request) -> None:
         """Offer compression to consoles alone: cells say what is short, or measured."""
