@@ -6,6 +6,7 @@ console; a browser reads what is short, and poses, as they are.
 
 from __future__ import annotations
 
+import asyncio
 from collections import deque
 from http.client import INTERNAL_SERVER_ERROR
 from typing import TYPE_CHECKING, Any, ClassVar, Final
@@ -23,9 +24,7 @@ from app.api.problems import Problem
 from app.clock import monotonic_s
 
 if TYPE_CHECKING:
-    import asyncio
-
-    from uvicorn._types import ASGISendEvent
+    from uvicorn._types import ASGIReceiveEvent, ASGISendEvent
     from websockets.http11 import Request
     from websockets.typing import StatusLike
 
@@ -38,9 +37,6 @@ WINDOW_BITS: Final = 15
 # Browsers and cells send hardly any, and tens of thousands in one read would hold up everybody's stop.
 MOST_ASIDE, ASIDE_S = 500, 1.0
 PIECE_BYTES: Final = 4_096  # read at a time: so many bytes are at most 700 frames
-# A cell that was away sends all its reports at once, and a read of 256 KiB holds fewer of them. As many as it holds of
-# what is shorter, one read after the other, would let the leases of all the other cells lapse.
-MOST_AT_ONCE: Final = 2_500
 _QUICKLY: Final = {"level": 1}
 _DEFLATE: Final = PerMessageDeflate(
     remote_no_context_takeover=True,
@@ -105,14 +101,32 @@ class Sockets(WebSocketsSansIOProtocol):
         super().__init__(*given, **named)
         self.conn = Handshakes(max_size=MAX_FRAME_BYTES, logger=self.logger)
         self._asides, self._asides_since_s = 0, monotonic_s()
+        self._unread, self._reads_on = memoryview(b""), False
 
     def data_received(self, data: bytes) -> None:
         """Read piece by piece, and nothing more of what came from a peer that is shown out."""
-        view = memoryview(data)
-        for start in range(0, len(data), PIECE_BYTES):
-            if self.transport.is_closing():
-                return
-            super().data_received(bytes(view[start : start + PIECE_BYTES]))
+        self._unread = memoryview(bytes(self._unread) + data)
+        self._read_on()
+
+    def _read_on(self) -> None:
+        """Read what has come: of a cell no further than to what it says, until that is taken and others had a turn."""
+        while self._unread and not self.transport.is_closing() and not (self.read_paused and self._is_cells()):
+            piece, self._unread = self._unread[:PIECE_BYTES], self._unread[PIECE_BYTES:]
+            super().data_received(bytes(piece))
+
+    def _is_cells(self) -> bool:
+        """Say whether it is a cell that was let in, who may say long things."""
+        return self.conn.max_message_size != MAX_FRAME_BYTES
+
+    async def receive(self) -> ASGIReceiveEvent:
+        """Return the next message, or that there is none any more; others come in between two pieces of a cell's."""
+        if self._reads_on:
+            self._reads_on = False
+            await asyncio.sleep(0)
+        message = await super().receive()
+        self._reads_on = bool(self._unread)
+        self._read_on()
+        return message
 
     def handle_ping(self) -> None:
         """Answer a ping, of which there may be few."""
@@ -130,13 +144,9 @@ class Sockets(WebSocketsSansIOProtocol):
             super().handle_cont(event)
 
     def send_receive_event_to_app(self) -> None:
-        """Hand a message on, unless more wait than a console or a cell may say, or it comes behind the last word."""
-        waiting = self.queue.qsize()
-        if self.conn.max_message_size == MAX_FRAME_BYTES and waiting > MOST_FRAMES:
+        """Hand a message on, unless more wait than a console may say, or it comes behind the last word."""
+        if not self._is_cells() and self.queue.qsize() > MOST_FRAMES:
             self.transport.abort()
-        elif not self.close_sent and waiting > MOST_AT_ONCE:
-            self.conn.fail(CloseCode.POLICY_VIOLATION, f"more than {MOST_AT_ONCE} messages at once")
-            self.handle_parser_exception()
         elif not self.close_sent and not self._is_text():
             self.conn.fail(CloseCode.INVALID_DATA, "a text is UTF-8")
             self.handle_parser_exception()
@@ -193,6 +203,7 @@ class Sockets(WebSocketsSansIOProtocol):
         if message["type"] == "websocket.accept" and self.scope["path"] != CONSOLE_PATH:
             self.conn.max_message_size = self.config.ws_max_size
         await super().send(message)
+        self._read_on()  # behind the last word, for that of the peer
         if message["type"] == "websocket.http.response.body" and not message.get("more_body", False):
             self.handshake_complete = True
 

@@ -13,7 +13,7 @@ from websockets.frames import Frame, Opcode
 
 from app.api import links
 from app.api.auth import issue_token
-from app.api.sockets import MOST_AT_ONCE
+from app.api.sockets import PIECE_BYTES, Sockets
 from app.governance.model import Role
 from app.protocol import ROW, Policy, ProtocolError, pack_batch, unpack_batch
 from app.runtime.link import Attachment
@@ -76,22 +76,27 @@ async def test_a_link_ends_with_why_in_whatever_letters_it_was_wrong(house: Hous
     assert (socket.close_code, (socket.close_reason or "")[:26]) == (1002, "a cell does not report `üü")
 
 
-@pytest.mark.parametrize(("count", "stays"), [(MOST_AT_ONCE - 500, True), (3 * MOST_AT_ONCE, False)])
-async def test_a_link_ends_that_says_more_at_once_than_a_cell_may(house: House, count: int, stays: bool) -> None:
+async def test_however_much_a_cell_says_at_once_it_is_read_little_by_little(
+    house: House, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    waiting, hand_on = list[int](), Sockets.send_receive_event_to_app
+
+    def handing_on(socket: Sockets) -> None:
+        waiting.append(socket.queue.qsize())
+        hand_on(socket)
+
+    monkeypatch.setattr(Sockets, "send_receive_event_to_app", handing_on)
     headers = {"Authorization": f"Bearer {house.cell_token}"}
     async with connect(link_url(house, "flood"), additional_headers=headers, proxy=None, ping_interval=None) as socket:
         await socket.send(greeting("flood"))
         await socket.recv()
-        beats = [Frame(Opcode.TEXT, b'{"type":"beat","n":%d}' % n).serialize(mask=True) for n in range(count)]
+        beats = [Frame(Opcode.TEXT, b'{"type":"beat","n":%d}' % n).serialize(mask=True) for n in range(7_500)]
         socket.transport.write(b"".join(beats))
-        ended = False
-        try:
-            async with asyncio.timeout(20.0):
-                while f'"n":{count - 1}' not in str(await socket.recv()):
-                    pass
-        except ConnectionClosed:  # without a word, where some of what it said was never read
-            ended = True
-    assert ended is not stays
+        async with asyncio.timeout(20.0):
+            while '"n":7499' not in str(await socket.recv()):
+                pass
+    assert len(waiting) > 7_500
+    assert max(waiting) <= PIECE_BYTES / len(beats[0])
 
 
 async def test_what_waits_of_one_link_leaves_the_others_their_turn(
@@ -123,6 +128,35 @@ async def test_what_waits_of_one_link_leaves_the_others_their_turn(
         taken = "".join(order)  # and not what comes once nobody else is there
         other.cancel()
     assert max(map(len, taken.split(" "))) < 10
+
+
+async def test_others_come_in_between_however_quickly_it_is_taken_what_a_cell_says(
+    house: House, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    order = list[str]()
+
+    async def taking(attachment: Attachment, frame: str | bytes) -> None:
+        order.append("m")
+
+    async def beside() -> None:
+        while True:
+            order.append(" ")
+            await asyncio.sleep(0)
+
+    headers = {"Authorization": f"Bearer {house.cell_token}"}
+    beat = Frame(Opcode.TEXT, b'{"type":"beat","n":1}').serialize(mask=True)
+    async with connect(link_url(house, "between"), additional_headers=headers, proxy=None) as socket:
+        await socket.send(greeting("between"))
+        await socket.recv()
+        monkeypatch.setattr(Attachment, "receive", taking)
+        other = asyncio.create_task(beside())
+        socket.transport.write(5000 * beat)
+        async with asyncio.timeout(20.0):
+            while order.count("m") < 5000:
+                await asyncio.sleep(0.01)
+        taken = "".join(order)
+        other.cancel()
+    assert max(map(len, taken.split(" "))) <= 2 * PIECE_BYTES / len(beat)
 
 
 async def test_a_link_whose_cell_reads_nothing_is_over_once_it_is_shut(house: House) -> None:
