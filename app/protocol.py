@@ -33,6 +33,7 @@ MOST_LISTED = 1000  # errors of one message: to list a quarter of a million take
 
 Count: TypeAlias = Annotated[int, Field(strict=True, ge=0, lt=2**63)]  # as the record can write down
 Name: TypeAlias = Annotated[str, Field(max_length=4096)]  # a path at most
+Short: TypeAlias = Annotated[str, Field(max_length=255)]  # a thousand first words may wait for the record
 
 
 def _passed_on(document: dict[str, JsonValue]) -> dict[str, JsonValue]:
@@ -193,12 +194,12 @@ class Hello(Message):
 
     type: Literal["hello"] = "hello"
     version: int = VERSION
-    cell: Name
-    boot: Name
+    cell: Short
+    boot: Short
     robot: Name
-    policy_digest: Name | None
-    profile: Name | None
-    invocation: Name | None
+    policy_digest: Short | None
+    profile: Short | None
+    invocation: Short | None
     latched: bool
     journal: Annotated[str, Field(min_length=1, max_length=64)]  # which file the numbers count in; another, others
     first_seq: Count = 1
