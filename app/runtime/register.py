@@ -20,6 +20,7 @@ from app.runtime.errors import NotFound
 from app.runtime.invocation import read_invocation
 from app.runtime.recollection import events_of, invocation_of
 from app.runtime.stored import Stored
+from app.runtime.uncut import uncut
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -157,6 +158,7 @@ class Register:
         self._unsaid.extend(drafts)
         return await self.say_unsaid()
 
+    @uncut
     async def say_unsaid(self) -> bool:
         """Record what is left unsaid; returns whether nothing is. What waits is stamped with when it was said.
 

@@ -254,6 +254,29 @@ async def test_what_a_link_brought_that_was_replaced_twice_counts_in_its_own_jou
     # and the log says so: see `House.open`
 
 
+async def test_a_word_is_not_lost_whose_speaker_is_gone_while_it_is_recorded(
+    runtime: Runtime, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tried, go = asyncio.Event(), asyncio.Event()
+
+    async def full(*_: Any) -> None:
+        tried.set()
+        await go.wait()
+        raise RecordUnavailable("the disk is full")
+
+    with monkeypatch.context() as disk:
+        disk.setattr(runtime.store, "append", full)
+        said = EventDraft(kind="cell", actor="server", body={"what": "told"})
+        saying = asyncio.ensure_future(runtime.register.say(said))
+        await tried.wait()
+        saying.cancel()
+        await asyncio.wait({saying})
+        go.set()
+        await until(lambda: runtime.register.unsaid() == ["cell"])
+    assert await runtime.register.say_unsaid()
+    assert [event for event in await runtime.store.events(kind="cell") if event.payload().get("what") == "told"]
+
+
 async def test_links_that_come_and_go_push_nothing_else_out_of_what_waits_for_the_record(
     house: House, monkeypatch: pytest.MonkeyPatch
 ) -> None:
