@@ -317,7 +317,7 @@ class House:
             )
             await puppet.say_state()
             living = asyncio.create_task(puppet.live())
-            await eventually(lambda: fleet.knows(name) and fleet.cell(name).fresh)
+            await eventually(lambda: fleet.knows(name) and fleet.cell(name).fresh and not fleet.cell(name).behind)
             try:
                 yield puppet
             finally:
