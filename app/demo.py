@@ -73,8 +73,10 @@ def demo(folder: Path, *, scripted: bool, keep: bool, pace: float, port: int) ->
         with _server(data, pace=pace, port=port) as (process, url):
             code = _play(data, url, habits)
             if keep:
-                say(f"\nthe server keeps running at {url}; Ctrl-C ends it. Tokens:")
-                for name, token in orjson.loads(data.tokens.read_bytes()).items():
+                tokens = orjson.loads(data.tokens.read_bytes())
+                say(f"\nthe server keeps running at {url}; Ctrl-C ends it")
+                say(f"  console     {_console(url, tokens)}\ntokens")
+                for name, token in tokens.items():
                     say(f"  {name:<11} {token}")
                 process.wait()
     except KeyboardInterrupt:
@@ -154,12 +156,17 @@ def skipped(asked: Document, why: ReinsError) -> str:
 def _play(data: DataDir, url: str, habits: Habits | None) -> int:
     tokens = orjson.loads(data.tokens.read_bytes())
     say(f"server  {url}")
-    say(f"console {url}/#token={tokens['operator']}")
+    say(f"console {_console(url, tokens)}")
     if habits is None:
         say(f"tokens  {data.tokens}\nwaiting for a human to approve; by hand: POST {url}/v1/escalations/ID/resolve")
     say("")
     found = asyncio.run(fetch(url, tokens, data.root / "agent.json", habits=habits, on_line=_tell))
     return _conclude(data, found)
+
+
+def _console(url: str, tokens: dict[str, str]) -> str:
+    """Return the link that opens the operator's console."""
+    return f"{url}/#token={tokens['operator']}"
 
 
 def _conclude(data: DataDir, found: Fetched) -> int:

@@ -61,6 +61,7 @@ def test_a_demo_that_fell_short_keeps_the_server_that_it_was_told_to_keep(tmp_pa
         denial = {"decision": "deny", "code": "other", "digest": question["digest"]}
         assert operator.post(f"/v1/escalations/{question['id']}/resolve", json=denial).is_success
         assert any("keeps running" in line for line in demo.stdout)
+        assert demo.stdout.readline().split() == line.split(), "the link, where people look for it after the story"
         assert operator.get("/readyz").is_success
         demo.send_signal(signal.SIGINT)
         assert demo.wait(30) == 1, "the story fell short"
