@@ -32,10 +32,14 @@ const INCLUDED = /#include <(\w+)>/g;
 /** What the renderer puts in by itself. */
 const ASKED = /ShaderChunk\[ '(\w+)' \]/g;
 const MATERIAL = /\b\w+Material\b/g;
+/** What prepares surroundings for surfaces to mirror. */
+const MIRRORED = /new PMREMGenerator\( renderer \)/g;
+/** What would have a scene mirror them. */
+const MIRRORS = /\b(?:environment|envMap)\b/;
 /** A table of numbers that only physically based materials look up. */
 const TABLE = /^const DATA = new Uint16Array\( \[[^\]]*\] \);$/m;
 
-/** Leaves out of the bundle the shaders of materials that nothing here is drawn with, 11 kB of three's 122; a scene that imports another material does not build. */
+/** Leaves out of the bundle the shaders of materials that nothing here is drawn with, 11 kB of three's 122, and what lets one mirror its surroundings, 3 kB; a scene that asks for either does not build. */
 export function withoutOtherShaders(): Plugin {
   return {
     name: 'reins-without-other-shaders',
@@ -46,6 +50,7 @@ export function withoutOtherShaders(): Plugin {
         if (!id.endsWith('three.module.js')) {
           const other = [...code.matchAll(MATERIAL)].find(([name]) => !(name in SHADERS));
           if (other) this.error(`the shader of ${other[0]} is left out of the bundle; valid: ${Object.keys(SHADERS).join(', ')}, or name it in lean.ts`);
+          if (MIRRORS.test(code)) this.error('what lets a surface mirror its surroundings is left out of the bundle by lean.ts; valid: a scene without `environment` and `envMap`');
           return null;
         }
         return { code: lean(code), map: null };
@@ -72,6 +77,7 @@ function lean(code: string): string {
   for (const [, name = ''] of [...rest.matchAll(ASKED), ...rest.matchAll(INCLUDED)]) keep(name);
   for (const shader of Object.values(SHADERS)) for (const part of ['vert', 'frag']) keep(`${shader}_${part}`);
   if (!TABLE.test(code)) throw new Error('three has no table `DATA` where lean.ts looks for it');
+  if (code.search(MIRRORED) < 0) throw new Error('three has no `PMREMGenerator` where lean.ts looks for it');
   const chunks = new Set(named.values());
-  return code.replace(TEXT, (whole, held: string) => (!chunks.has(held) || kept.has(held) ? whole : `const ${held} = "";`)).replace(TABLE, 'const DATA = new Uint16Array(0);');
+  return code.replace(TEXT, (whole, held: string) => (!chunks.has(held) || kept.has(held) ? whole : `const ${held} = "";`)).replace(TABLE, 'const DATA = new Uint16Array(0);').replace(MIRRORED, 'null');
 }
