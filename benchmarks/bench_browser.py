@@ -200,7 +200,7 @@ def first_load(browser: Browser, served: Served, loads: int) -> None:
     plain, _ = loaded(browser, served, ("gzip",))
     print(f"first load, nothing cached, {loads} times:")
     print(f"  {max(sizes) / 1000:.1f} kB over the wire by brotli (at most 300 kB),")
-    print(f"  {plain / 1000:.1f} kB by gzip, which is all that browsers take from another machine without TLS")
+    print(f"  {plain / 1000:.1f} kB by gzip, as browsers have it from another machine without TLS (at most 300 kB)")
     print(
         f"  cell drawn after {statistics.median(times_ms):.0f} ms median, {max(times_ms):.0f} ms most (at most 1500 ms)"
     )

