@@ -334,7 +334,12 @@ def test_who_writes_a_candidate_is_told_that_another_version_came_into_force(
         put_in_force(changing, theirs)
         expect(told).to_be_visible()
         expect(editor).to_have_value(re.compile("^# mine\n"))
-        bring.get_by_role("button", name="Edit what is in force").click()
+        anew = bring.get_by_role("button", name="Edit what is in force")
+        expect(anew).to_be_disabled()
+        expect(bring.get_by_label("Choose files or a ZIP")).to_be_disabled()
+        expect(bring).to_contain_text("To begin anew, discard what you wrote.")
+        bring.get_by_role("button", name="Discard").click()
+        anew.click()
         expect(editor).not_to_have_value(re.compile("^# mine\n"))
         expect(told).to_have_count(0)
     finally:

@@ -222,6 +222,21 @@ describe('a draft', () => {
     expect([draft.empty, draft.busy]).toEqual([true, null]);
   });
 
+  it('says that something was written in it, and is replaced by nothing that was being read by then', async () => {
+    const draft = new Draft();
+    await draft.take(change, server(WHOLE));
+    expect(draft.written).toBe(false);
+    const late = draft.take([], server(WHOLE));
+    draft.write('site.yaml', 'other');
+    await late;
+    expect([draft.files['site.yaml'], draft.written, draft.busy]).toEqual(['other', true, null]);
+    draft.write('site.yaml', WHOLE['site.yaml']);
+    expect(draft.written).toBe(false);
+    draft.write('site.yaml', 'other');
+    draft.clear();
+    expect(draft.written).toBe(false);
+  });
+
   /** A draft that is being checked, and what the server says in the end. */
   async function checked() {
     const draft = new Draft();

@@ -19,11 +19,18 @@ export class Draft {
   /** The version that was kept of it while it was changed, or nobody saw; until somebody looks at it. */
   kept = $state.raw<Version | null>(null);
   private taking = 0;
+  /** The files as they were taken: what differs was written here. */
+  private taken = $state.raw<Files>({});
   /** Who writes it. */
   private by: string | null = null;
 
   get empty(): boolean {
     return Object.keys(this.files).length === 0;
+  }
+
+  /** Whether something was written here, which another take would replace. */
+  get written(): boolean {
+    return Object.entries(this.files).some(([path, text]) => text !== this.taken[path]);
   }
 
   get listed(): ReturnType<typeof standings> {
@@ -46,13 +53,12 @@ export class Draft {
   }
 
   clear(): void {
-    this.taking += 1;
+    this.keep();
     this.files = {};
     this.faults = [];
     this.leftOut = [];
     this.chosen = null;
     this.trouble = null;
-    if (this.busy === 'reading') this.busy = null;
     this.why = '';
   }
 
@@ -73,6 +79,7 @@ export class Draft {
   }
 
   write(path: string, text: string): void {
+    this.keep();
     this.files = { ...this.files, [path]: text };
   }
 
@@ -100,6 +107,12 @@ export class Draft {
     this.busy = null;
   }
 
+  /** Has nothing replace it that is still being read. */
+  private keep(): void {
+    this.taking += 1;
+    if (this.busy === 'reading') this.busy = null;
+  }
+
   private still({ files, why }: { files: Files; why: string }): boolean {
     const names = Object.keys(files);
     return why === this.why && names.length === Object.keys(this.files).length && names.every((name) => files[name] === this.files[name]);
@@ -107,7 +120,7 @@ export class Draft {
 
   private begin(found: Candidate, live: Files, of: string): void {
     [this.live, this.of] = [live, of];
-    this.files = found.files;
+    this.files = this.taken = found.files;
     this.leftOut = found.leftOut;
     this.partial = found.partial;
     this.chosen = this.listed.find(({ standing }) => standing === 'new' || standing === 'changed')?.path ?? this.listed[0]?.path ?? null;
