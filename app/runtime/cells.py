@@ -126,7 +126,6 @@ class Cell:
     profile: str
     latched: bool = False
     latch_unkept: bool = False  # the record could not take the latch: it is written as soon as that is possible
-    row_unkept: bool = False  # nor that the cell is there
     itself: bool = False  # it has reported a stop, and no reset since
     unheard: str | None = None  # the journal that it had when a reset was said of which it has said nothing
     stops: int = 0  # emergency stops so far: a reset leaves those before it, none that comes while it is recorded
@@ -142,7 +141,7 @@ class Cell:
     state_at_s: float = 0.0
     world: WorldFacts | None = None
     trouble: str | None = None
-    replaced: bool = False  # its link took the place of one of which the record has not said that it is gone
+    came: bool = False  # the record says that it has a link
     recalled: bool = False  # known from an earlier run of the server, and not seen in this one
     absent_since_s: float | None = None
     expected_until_s: float = 0.0  # its process is being started

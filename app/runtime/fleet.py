@@ -21,7 +21,7 @@ from app.protocol import BEAT_MS, LEASE_MS, Estop, Human, Launch, Policy, Protoc
 from app.runtime.cells import FRESH_S, Reunion, read_world
 from app.runtime.drafts import SERVER
 from app.runtime.errors import Conflict
-from app.runtime.link import DEAD_S, SILENT_S, TRY_LATER, Attachment
+from app.runtime.link import DEAD_S, RETRY_S, SILENT_S, TRY_LATER, Attachment
 from app.runtime.roster import Roster
 from app.runtime.screens import Screens
 from app.runtime.uncut import uncut
@@ -397,7 +397,6 @@ class Fleet:
         cell.latched |= cell.forgetful(hello)
         cell.journal = hello.journal  # another one counts for itself, and those before it stay known
         cell.attachment = attachment
-        cell.replaced = present is not None
         cell.state = cell.arming = None  # what was armed was so by what an earlier run may have said
         cell.reset = ""
         if present is not None:
@@ -425,14 +424,32 @@ class Fleet:
         cell.unreconciled = Reunion(hello=hello, believed=believed)
 
     async def arrived(self, attachment: Attachment, hello: Hello) -> None:
-        """Record that a cell is there, and that its former link is not: no word to or from it waits for that."""
+        """Record that a cell is there, and that its former link is not, as soon as the record takes it.
+
+        Only its reports wait for that: the log tells by it which journal they count in. Of a link that is gone before
+        it could be recorded, nothing is.
+        """
         cell = attachment.cell
         async with cell.arriving:
-            if cell.replaced:
-                cell.replaced = False
-                await self._desk.left(cell.id)
-            await self._desk.attached(cell.id, hello)
+            await self._left(cell)
+            while cell.attachment is attachment and not await self._attached(cell, hello):
+                await asyncio.sleep(RETRY_S)
         await self.caught_up(attachment)
+
+    async def _attached(self, cell: Cell, hello: Hello) -> bool:
+        """Record that a cell is there; returns whether it is recorded."""
+        try:
+            await self._desk.attached(cell.id, hello)
+        except RecordUnavailable:
+            return False
+        cell.came = True
+        return True
+
+    async def _left(self, cell: Cell) -> None:
+        """Record that a cell's link is gone, of which the record says that it is there."""
+        if cell.came:
+            cell.came = False
+            await self._desk.left(cell.id)
 
     async def _unrecorded(self, cell: Cell, attachment: Line) -> None:
         """Have what a cell says has ended, and cannot write down, seen to once every older report is in."""
@@ -488,7 +505,7 @@ class Fleet:
             cell.absent_since_s = monotonic_s()
             self.loosen(cell, "server")  # the cell holds by itself; should it be back before it does, it is told
             async with cell.arriving:  # it came before it left
-                await self._desk.left(cell.id)
+                await self._left(cell)
 
     def closing(self, closing: Coroutine[Any, Any, None]) -> None:
         """Close a socket without waiting for it."""
@@ -548,7 +565,6 @@ class Fleet:
             if cell.attachment is not attachment:
                 raise ProtocolError(f"the cell `{cell.id}` has another link by now, or none")
             journal = cell.journal
-            # By the `attached` in front of them the log tells which journal reports count in.
             if not await self._register.say_unsaid():
                 raise RecordUnavailable("what came before is not recorded yet")
             known = cell.taken.get(journal, 0)

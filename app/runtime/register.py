@@ -162,7 +162,7 @@ class Register:
     async def say_unsaid(self) -> bool:
         """Record what is left unsaid; returns whether nothing is. What waits is stamped with when it was said.
 
-        Only so much waits; how many words were given up for others (`_kept`) is recorded in their place.
+        Only so much waits; how many words were given up for newer ones is recorded in their place.
         """
         async with self._saying:  # what somebody else is having recorded may be left unsaid yet
             unsaid, self._unsaid = self._unsaid, []
@@ -175,7 +175,7 @@ class Register:
             except RecordUnavailable:
                 stamped = [replace(draft, body={"said_at": now, **draft.body}) for draft in unsaid]
                 waiting = [*stamped, *self._unsaid]
-                self._unsaid = _kept(waiting)
+                self._unsaid = waiting[-MAX_UNSAID:]
                 self._lost += len(waiting) - len(self._unsaid)
                 return False
             self._lost -= lost
@@ -235,22 +235,3 @@ class Register:
         if version.final:
             del self._live[version.id]
             self.on_final(version)
-
-
-def _kept(waiting: Sequence[EventDraft]) -> list[EventDraft]:
-    """Return what is kept of the words that wait, in their order; those are given up first of which least is lost.
-
-    That a link came and went before the one its cell has now, then that one was lost, then anything else, the oldest
-    first. By the newest `attached` of a cell the log tells which journal its reports count in.
-    """
-    newest = {draft.actor: place for place, draft in enumerate(waiting) if draft.body.get("link") == "attached"}
-
-    def worth(place: int) -> int:
-        draft = waiting[place]
-        if draft.kind != EventKind.CELL or "link" not in draft.body:
-            return 2
-        last = newest.get(str(draft.body.get("cell", draft.actor)), -1)
-        return 3 if place == last else int(place > last)
-
-    given_up = set(sorted(range(len(waiting)), key=worth)[: max(0, len(waiting) - MAX_UNSAID)])
-    return [draft for place, draft in enumerate(waiting) if place not in given_up]

@@ -23,7 +23,7 @@ class Reports(Protocol):
         ...
 
     async def attached(self, cell: str, hello: Hello) -> None:
-        """Record that a cell is there."""
+        """Record that a cell is there. Raises `RecordUnavailable`."""
         ...
 
     async def reconcile(self, cell: str, hello: Hello, believed: str | None) -> None:

@@ -6,7 +6,6 @@ was due is taken down as soon as it can.
 
 from __future__ import annotations
 
-import contextlib
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -84,14 +83,8 @@ class Roster:
         await self._register.append(drafts, rows)
 
     async def keep_late(self) -> None:
-        """Record the cells that came and the stops that were latched while the record could take nothing.
-
-        What fails now is tried again.
-        """
+        """Record the stops that were latched while the record could take nothing; what fails now is tried again."""
         for cell in self.cells():
-            if cell.row_unkept:
-                with contextlib.suppress(RecordUnavailable):
-                    await self.introduce(cell, [])
             if cell.latch_unkept:
                 cell.latch_unkept = False
                 # With a word of its own: the one that latched it may be among what nothing could be said of yet.
@@ -102,18 +95,9 @@ class Roster:
                     cell.latch_unkept = cell.latched
 
     async def introduce(self, cell: Cell, drafts: Sequence[EventDraft]) -> None:
-        """Record that a cell is there, so that it is known after a restart.
-
-        Raises:
-            RecordUnavailable: it is not; `keep_late` does it, without the drafts.
-        """
+        """Record that a cell is there, so that it is known after a restart. Raises `RecordUnavailable`."""
         async with cell.recording:  # or an older count could follow a newer one into the record
-            try:
-                await self._register.append(drafts, cell.progress(cell.taken, self._register.now()))
-            except RecordUnavailable:
-                cell.row_unkept = True
-                raise
-            cell.row_unkept = False
+            await self._register.append(drafts, cell.progress(cell.taken, self._register.now()))
 
     async def recall(self) -> None:
         """Read back which cells there are, their profiles and latched stops, and who had them when the server ended.

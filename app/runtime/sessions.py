@@ -279,16 +279,19 @@ class Sessions:
             self._register.unfounded.setdefault(question["id"], "its row is not what was asked and answered")
 
     async def attached(self, cell: str, hello: Hello) -> None:
-        """Record that a cell is there, in the trace of the invocation that it holds, if it has that from here."""
+        """Record that a cell is there, in the trace of the invocation that it holds, if it has that from here.
+
+        Raises:
+            RecordUnavailable: it is not recorded, nor anything that was said before.
+        """
         place, held = self._fleet.cell(cell), None
         with suppress(RecordUnavailable):  # its word says which one all the same
             held = hello.invocation if hello.invocation and await self._had(cell, hello.invocation) else None
         body = {"link": "attached", **hello.model_dump(exclude={"type", "version", "cell"})}
         draft = EventDraft(kind=EventKind.CELL, actor=cell, body=body, invocation=held)
-        try:
-            await self._fleet.roster.introduce(place, [draft])
-        except RecordUnavailable:
-            await self._register.say(draft)
+        if not await self._register.say_unsaid():
+            raise RecordUnavailable("what came before is not recorded yet")
+        await self._fleet.roster.introduce(place, [draft])
 
     async def left(self, cell: str) -> None:
         """Record that a cell's link is gone."""

@@ -124,7 +124,8 @@ class HandCell:
         """Latch a stop by itself."""
         self.latched, self.tripped = True, tick
 
-    async def dial(self, **changes: Any) -> HandCell:
+    async def dial(self, *, waits: bool = True, **changes: Any) -> HandCell:
+        """Dial in, and wait until that is recorded, unless it is not to."""
         hello = {
             "cell": self.id,
             "boot": self.boot,
@@ -139,7 +140,7 @@ class HandCell:
         }
         self.attachment = await self.runtime.fleet.attach(self.id, self)
         await self.attachment.receive(encode(Hello(**hello)))
-        if (arrival := self.attachment._arrival) is not None:
+        if waits and (arrival := self.attachment._arrival) is not None:
             await asyncio.wait({arrival})
         return self
 

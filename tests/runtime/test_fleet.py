@@ -205,7 +205,7 @@ async def test_what_a_replaced_link_brought_counts_in_no_other_journal(
         await cell.say(cell.event("cell", what="started"))
     assert cell.attachment is not None
     cell.attachment.heard_s -= 2.0
-    second = await HandCell(runtime, journal="jrn-2").dial()
+    second = await HandCell(runtime, journal="jrn-2").dial(waits=False)
     await second.expect("welcome")
     monkeypatch.setattr(runtime.store, "append", append)
     await second.report("cell", what="started")
@@ -277,7 +277,7 @@ async def test_a_word_is_not_lost_whose_speaker_is_gone_while_it_is_recorded(
     assert [event for event in await runtime.store.events(kind="cell") if event.payload().get("what") == "told"]
 
 
-async def test_links_that_come_and_go_push_nothing_else_out_of_what_waits_for_the_record(
+async def test_cells_that_come_and_go_push_nothing_out_of_what_waits_for_the_record(
     house: House, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     async def full(*_: Any) -> None:
@@ -285,21 +285,22 @@ async def test_links_that_come_and_go_push_nothing_else_out_of_what_waits_for_th
 
     monkeypatch.setattr(register_module, "MAX_UNSAID", 3)
     async with house.open() as runtime:
-        first, other = await HandCell(runtime).dial(), await HandCell(runtime, id="workcell-2").dial()
+        first = await HandCell(runtime).dial()
         await first.report("cell", what="started")
         await first.hang_up()
         with monkeypatch.context() as disk:
             disk.setattr(runtime.store, "append", full)
-            second = await HandCell(runtime, journal="jrn-2").dial()
+            second = await HandCell(runtime, journal="jrn-2").dial(waits=False)
             await runtime.governor.estop(CELL, OPERATOR)
-            for _ in range(5):
+            for number in range(5):
+                other = await HandCell(runtime, id=f"workcell-{number + 2}").dial(waits=False)
                 await other.hang_up()
-                other = await HandCell(runtime, id="workcell-2").dial()
         await second.report("cell", what="started")
         assert len(await runtime.store.events(kind="human")) == 1
         assert runtime.fleet.cell(CELL).taken == {"jrn-1": 1, "jrn-2": 1}
-        said = [event.payload() for event in await runtime.store.events(kind="cell") if "said_at" in event.payload()]
-        assert [body["link"] for body in said] == ["attached", "attached"]
+        told = [(event.actor, body["link"], body.get("journal")) for event in await runtime.store.events(kind="cell")
+                if "link" in (body := event.payload())]  # fmt: skip
+        assert told == [(CELL, "attached", "jrn-1"), ("server", "lost", None), (CELL, "attached", "jrn-2")]
     # and the log counts the reports in their journals: see `House.open`
     async with house.open() as runtime:
         assert runtime.fleet.cell(CELL).taken == {"jrn-1": 1, "jrn-2": 1}
@@ -1359,7 +1360,7 @@ async def test_a_reunion_that_cannot_be_recorded_is_seen_to_later(
         raise RecordUnavailable("disk full")
 
     monkeypatch.setattr(runtime.store, "append", broken)
-    await HandCell(runtime, boot="boot-2", seq=cell.seq).dial()
+    await HandCell(runtime, boot="boot-2", seq=cell.seq).dial(waits=False)
     monkeypatch.undo()
     assert (await runtime.governor.invocation(name, AGENT))["status"] == "running"
     await runtime.fleet.tend_once()
