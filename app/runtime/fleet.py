@@ -17,7 +17,8 @@ from app.audit.errors import RecordUnavailable
 from app.audit.event import EventDraft
 from app.clock import monotonic_s
 from app.governance.model import SESSION, CellFacts, EventKind
-from app.protocol import BEAT_MS, LEASE_MS, Estop, Human, Launch, Policy, ProtocolError, Reset, Watch
+from app.protocol import BEAT_MS, LEASE_MS, Estop, Human, Launch, Policy, ProtocolError, Reset, Watch, encode
+from app.runtime.budget import ROW
 from app.runtime.cells import FRESH_S, Reunion, read_world
 from app.runtime.drafts import SERVER
 from app.runtime.errors import Conflict
@@ -40,6 +41,7 @@ if TYPE_CHECKING:
 TEND_S: Final = 0.25
 EXPECTED_S: Final = 10.0  # a process that takes longer to start is missed like any other
 NOWHERE: Final = CellFacts(id="", online=False)
+TOO_MUCH: Final = "it reports more than is recorded of one cell: its reports wait"
 RESET_S: Final = 1.0  # a cell states itself ten times a second, and on every change
 
 
@@ -201,6 +203,8 @@ class Fleet:
         if cell.profile not in self._profiles:
             valid = ", ".join(f"`{name}`" for name in sorted(self._profiles))
             return f"the policy in force has no profile `{cell.profile}`; valid: put it under one of {valid}"
+        if cell.records.owed_s() > 0:
+            return TOO_MUCH
         if cell.behind:
             return "its older reports are not in the log yet"
         self._world(cell, cell.state)  # which finds out
@@ -432,16 +436,21 @@ class Fleet:
         cell = attachment.cell
         async with cell.arriving:
             await self._left(cell)
-            while cell.attachment is attachment and not await self._attached(cell, hello):
+            while cell.attachment is attachment:
+                if await self._attached(cell, hello):
+                    break
                 await asyncio.sleep(RETRY_S)
         await self.caught_up(attachment)
 
     async def _attached(self, cell: Cell, hello: Hello) -> bool:
         """Record that a cell is there; returns whether it is recorded."""
+        if cell.records.owed_s() > 0:
+            return False
         try:
             await self._desk.attached(cell.id, hello)
         except RecordUnavailable:
             return False
+        cell.records.spend(len(encode(hello)) + 2 * ROW)  # and that it leaves
         cell.came = True
         return True
 

@@ -7,7 +7,8 @@ the link, and then the cell holds by itself (lease).
 
 Reports (`UpEvent`) are numbered. Those already in the log are dropped, a gap is refused, the rest is recorded in
 batches and acknowledged only then. When the record cannot be written the link stays, because a stop must get through:
-the batch is tried again until it is in.
+the batch is tried again until it is in. So it does where the cell has had more recorded than one cell may: what else it
+says is taken meanwhile, and a cell that waits for acknowledgements sends no more reports.
 """
 
 from __future__ import annotations
@@ -41,6 +42,7 @@ from app.protocol import (
     is_poses,
     unpack_batch,
 )
+from app.runtime.budget import ROW
 
 if TYPE_CHECKING:
     from collections.abc import Coroutine, Mapping, Sequence
@@ -322,13 +324,17 @@ class Attachment:
             await self._incoming.wait()
             self._incoming.clear()
             while self._reports:
+                if (owed_s := self.cell.records.owed_s()) > 0:
+                    await asyncio.sleep(owed_s)
+                    continue
                 batch = self._batch()
                 if not await self._recorded(batch):
                     await asyncio.sleep(RETRY_S)
                     continue
                 for _ in batch:
                     self._reports.popleft()
-                    self._waiting -= self._lengths.popleft()
+                    self._waiting -= (length := self._lengths.popleft())
+                    self.cell.records.spend(length + ROW)
                 self.post(Ack(seq=self.cell.up_seq))
             await self._hub.caught_up(self)
 

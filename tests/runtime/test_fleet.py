@@ -34,6 +34,7 @@ from app.runtime import cells as cells_module
 from app.runtime import register as register_module
 from app.runtime import sessions as sessions_module
 from app.runtime.assembly import Runtime
+from app.runtime.budget import Budget
 from app.runtime.errors import Conflict
 from app.runtime.link import BATCH, MAX_READ, MAX_SHOWN, MAX_WAITING, MOST_VALUES, PROTOCOL_VIOLATION, RETRY_S
 from app.runtime.outlet import Outlet
@@ -556,6 +557,55 @@ async def test_only_so_much_is_recorded_at_once(
     assert BATCH // 2 < max(lengths) < 1.1 * BATCH
     recorded = [event.payload()["cell_seq"] for event in await runtime.store.events(actor=CELL) if b"xxx" in event.body]
     assert recorded == [event.seq for event in said]
+
+
+async def test_beyond_what_is_recorded_of_one_cell_its_reports_wait_and_nothing_else_does(
+    runtime: Runtime, cell: HandCell
+) -> None:
+    known, other = runtime.fleet.cell(CELL), await HandCell(runtime, id="workcell-2").dial()
+    known.records = Budget(most=1.0, per_s=300_000.0)
+    for _ in range(4):
+        await cell.say(cell.event("cell", what="started", detail="x" * 200_000))
+    await cell.acknowledged(4)
+    late = cell.event("cell", what="started")
+    await cell.say(late)
+    await cell.state(gauges={"speed_mps": 0.5})
+    await other.report("cell", what="started")
+    beats = len(cell.all("beat"))
+    await cell.expect("beat", beats + 3)
+    assert known.records.owed_s() > 0
+    assert known.state is not None
+    assert known.state.gauges == {"speed_mps": 0.5}
+    assert "reports more than is recorded" in runtime.fleet.unusable()[f"cell/{CELL}"]
+    assert (known.up_seq, cell.closed) == (4, None)
+    await cell.acknowledged(late.seq)
+    assert known.records.owed_s() < 0.1
+
+
+async def test_another_link_is_recorded_of_a_cell_once_what_it_reported_is_paid_for(
+    runtime: Runtime, cell: HandCell
+) -> None:
+    known = runtime.fleet.cell(CELL)
+    known.records = Budget(most=1.0, per_s=500.0)
+    known.records.spend(1_500.0)
+    for _ in range(3):
+        await cell.hang_up()
+        cell = await HandCell(runtime).dial(waits=False)
+    await cell.state()
+    assert runtime.fleet.cell(CELL).fresh
+    await cell.report("cell", what="started")
+    told = [body["link"] for event in await runtime.store.events(kind="cell") if "link" in (body := event.payload())]
+    assert told == ["attached", "lost", "attached"]
+
+
+def test_a_budget_comes_back_with_time_and_never_beyond_its_most() -> None:
+    budget = Budget(most=10.0, per_s=1e9)
+    budget.spend(5.0)
+    assert budget.owed_s() == 0.0
+    slow = Budget(most=10.0, per_s=0.001)
+    slow.spend(10.0)
+    slow.spend(1.0)
+    assert 900.0 < slow.owed_s() <= 1000.0
 
 
 async def test_a_gap_closes_the_link(runtime: Runtime, cell: HandCell) -> None:
