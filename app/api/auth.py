@@ -243,7 +243,8 @@ def issue_token(
         name: what the record will call the principal.
         role: what it may do.
         ttl_s: how long the token holds; None: for good.
-        station: the cell that its bearer stands at; there they may take the controls from who does not.
+        station: the cell that its bearer stands at, where they may take the controls from who does not; of a cell's
+            token the only one that may dial in by it.
 
     Raises:
         ValueError: an empty name, or one with control characters or blanks around it; one that the record uses for a

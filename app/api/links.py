@@ -58,7 +58,7 @@ class SocketLink:
 async def link(socket: WebSocket) -> None:
     """Carry frames until either side ends it; refused with the problem's own status before the handshake."""
     cell_id = str(socket.path_params["id"])
-    let_in = partial(authorize, socket, parts_of(socket).principals, allowed_roles(WEBSOCKET, PATH))
+    let_in = partial(_let_in, socket, cell_id)
     try:
         let_in()
         _check_name(cell_id, parts_of(socket))
@@ -104,6 +104,13 @@ async def _greeted(attachment: Attachment) -> None:
     await asyncio.sleep(SILENT_S)
     if attachment.hello is None:
         attachment.shut(NO_HELLO, f"no `hello` came within {SILENT_S:g} s")
+
+
+def _let_in(socket: WebSocket, cell_id: str) -> None:
+    """Let in whoever has a cell's token, in the name of the cell that it was issued for if it was. Raises `Problem`."""
+    who = authorize(socket, parts_of(socket).principals, allowed_roles(WEBSOCKET, PATH))
+    if who is not None and who.station not in {None, cell_id}:
+        raise Problem("role_forbidden", f"the token is of the cell `{who.station}`: valid is that name")
 
 
 def _check_name(cell_id: str, parts: Parts) -> None:

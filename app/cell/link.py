@@ -479,9 +479,7 @@ def _plain(error: Exception) -> str:
     match error:
         case InvalidStatus():
             code = error.response.status_code
-            return f"the server answered {code}" + (
-                ": is the cell's token valid?" if code in {401, 403} else _why(error)
-            )
+            return f"the server answered {code}" + (": is the cell's token valid?" if code == 401 else _why(error))
         case TimeoutError():
             return "the server did not answer in time"
         case _:

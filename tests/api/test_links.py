@@ -43,6 +43,22 @@ async def test_only_a_cell_may_dial_in(house: House, key: str | None) -> None:
     assert refused.value.response.status_code == (401 if key is None else 403)
 
 
+async def test_a_token_of_one_cell_lets_in_nobody_by_another_name(house: House) -> None:
+    token = issue_token(house.folder, name="cell", role=Role.CELL, station="workcell-2")
+    principals = house.app.state.parts.principals
+    principals.admit(principals.look())
+    headers = {"Authorization": f"Bearer {token}"}
+    with pytest.raises(InvalidStatus) as refused:
+        async with connect(link_url(house), additional_headers=headers, proxy=None):
+            pass
+    problem = orjson.loads(refused.value.response.body or b"")
+    assert (refused.value.response.status_code, problem["code"]) == (403, "role_forbidden")
+    assert problem["detail"] == "the token is of the cell `workcell-2`: valid is that name"
+    async with connect(link_url(house, "workcell-2"), additional_headers=headers, proxy=None) as socket:
+        await socket.send(greeting("workcell-2"))
+        assert '"type":"welcome"' in str(await socket.recv())
+
+
 @pytest.mark.parametrize("frame", ["{", '{"type": "state"}', b"\x00", '{"type": "beat"}'])
 async def test_a_frame_that_is_no_greeting_ends_the_link(house: House, frame: str | bytes) -> None:
     headers = {"Authorization": f"Bearer {house.cell_token}"}
