@@ -18,9 +18,10 @@ from app.api.auth import MACHINES, as_read
 from app.api.parts import parts_of
 from app.api.problems import Problem
 from app.api.staying import close_code, until_refused
+from app.audit.errors import AuditError
 from app.clock import monotonic_s
 from app.config import CELL_ID, VALID_CELL_ID
-from app.runtime.link import SILENT_S
+from app.runtime.link import SILENT_S, TRY_LATER
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -66,7 +67,12 @@ async def link(socket: WebSocket) -> None:
         await socket.send_denial_response(problem.response(socket.url.path))
         return
     await socket.accept()
-    attachment = await parts_of(socket).fleet.attach(cell_id, SocketLink(socket))
+    carrier = SocketLink(socket)
+    try:
+        attachment = await parts_of(socket).fleet.attach(cell_id, carrier)
+    except AuditError as error:
+        await carrier.close(TRY_LATER, str(error))
+        return
     try:
         async with asyncio.TaskGroup() as tasks:  # whichever breaks ends the other: nobody stays who is not asked
             watches = [tasks.create_task(_stay_known(attachment, let_in)), tasks.create_task(_greeted(attachment))]

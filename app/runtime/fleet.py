@@ -380,14 +380,17 @@ class Fleet:
         """Take a new link for a cell; its first frame must be `Hello`.
 
         The caller passes every frame to the attachment's `receive`, and calls `detach` when the socket is gone.
+
+        Raises:
+            AuditError: the cell is not known, and the record cannot be asked about it.
         """
-        return Attachment(self, self.roster.newcomer(cell_id), link)
+        return Attachment(self, await self.roster.newcomer(cell_id), link)
 
     async def take_place(self, attachment: Attachment, hello: Hello) -> None:
         """Make this the cell's link, unless another one lives; a new cell is recorded first.
 
         Raises:
-            ProtocolError: the cell has a link that was heard within the last second.
+            ProtocolError: the cell has a link that was heard within the last second, or too many others are known.
         """
         cell = self.roster.stays(attachment.cell)
         attachment.cell = cell
@@ -631,7 +634,8 @@ class Fleet:
                 await self.caught_up(attachment)
                 await self._unrecorded(cell, attachment)
                 await self._confirmed(cell)
-            await self._desk.overdue(cell.id)
+            if self.knows(cell.id):  # it may have been forgotten meanwhile
+                await self._desk.overdue(cell.id)
 
 
 def _fault(cell: Cell, state: State) -> str | None:

@@ -7,7 +7,7 @@ was due is taken down as soon as it can.
 from __future__ import annotations
 
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 import orjson
 
@@ -16,6 +16,7 @@ from app.audit.errors import RecordUnavailable, RowUnreadable
 from app.audit.event import EventDraft, RowWrite
 from app.clock import monotonic_s
 from app.governance.model import SESSION, EventKind
+from app.protocol import ProtocolError
 from app.runtime.cells import KEPT, Cell
 from app.runtime.drafts import SERVER
 from app.runtime.errors import NotFound
@@ -27,9 +28,16 @@ if TYPE_CHECKING:
     from app.audit.reader import Row
     from app.runtime.register import Register
 
+MOST_CELLS: Final = 64  # each costs memory, and its part of what every console is shown
+FORGOTTEN_S: Final = 3600.0
+
 
 class Roster:
-    """The cells of one server, by name; one that was heard of stays."""
+    """The cells of one server, by name. One that was heard of stays, unless others need its place.
+
+    Only so many are known. Where one more comes, the one is forgotten that has been away for longest, an hour at the
+    least, and of which nothing is known but what the record holds: that is read back should it come again.
+    """
 
     def __init__(self, register: Register, *, default_profile: str) -> None:
         """Take the register and the profile of a cell never seen before."""
@@ -60,13 +68,51 @@ class Roster:
         """Return a cell, or None where nobody has heard of it."""
         return self._cells.get(cell_id or "")
 
-    def newcomer(self, cell_id: str) -> Cell:
-        """Return a cell that says this name; one never heard of is kept once it `stays`."""
-        return self._cells.get(cell_id) or Cell(id=cell_id, profile=self.default_profile)
+    async def newcomer(self, cell_id: str) -> Cell:
+        """Return a cell that says this name; one that is not among those known is kept once it `stays`.
+
+        Raises:
+            AuditError: nobody knows what the record holds of it.
+        """
+        if (known := self._cells.get(cell_id)) is not None:
+            return known
+        cell, store = Cell(id=cell_id, profile=self.default_profile), self._register.store
+        if (row := await store.row("cell_progress", cell=cell_id)) is not None:
+            cell.journal, cell.taken = row["journal"], {row["journal"]: row["up_seq"]}
+        for name in KEPT:
+            if (kept := await store.row("settings", name=f"{name}/{cell_id}")) is not None:
+                self._register.stored.read("settings", kept, partial(cell.recall, name))
+        await self._believe_reports(cell)
+        return self._cells.get(cell_id, cell)
 
     def stays(self, cell: Cell) -> Cell:
-        """Keep a cell, and return the one there is by its name."""
+        """Keep a cell, and return the one there is by its name.
+
+        Raises:
+            ProtocolError: so many are known, and each of them has to be.
+        """
+        if cell.id not in self._cells and len(self._cells) >= MOST_CELLS:
+            self._forget(FORGOTTEN_S)
+            if len(self._cells) >= MOST_CELLS:
+                raise ProtocolError(f"`{MOST_CELLS}` cells are known, and none may be forgotten: valid is one of them")
         return self._cells.setdefault(cell.id, cell)
+
+    def _forget(self, away_s: float) -> None:
+        """Have room for one more: leave to the record what it holds of cells that have been away, the longest first."""
+        engaged = {invocation.cell for invocation in self._register.live()}
+        idle = [cell for cell in self._cells.values() if cell.id not in engaged and self._is_idle(cell, away_s)]
+        idle.sort(key=lambda cell: cell.absent_since_s or 0.0)
+        for cell in idle[: max(0, len(self._cells) - MOST_CELLS + 1)]:
+            del self._cells[cell.id]
+
+    def _is_idle(self, cell: Cell, away_s: float) -> bool:
+        """Say whether all that is known of a cell stands in its rows: it is away, has nothing, and owes nothing."""
+        if cell.attachment is not None or cell.absent_since_s is None or cell.expected:
+            return False
+        stopped = cell.latched or cell.itself or cell.unheard is not None or cell.latch_unkept or cell.resetting
+        engaged = cell.claim or cell.control or cell.owed or cell.profile != self.default_profile
+        waits = cell.came or cell.arriving.locked() or cell.recording.locked()
+        return not (stopped or engaged or waits) and monotonic_s() - cell.absent_since_s >= away_s
 
     # -- what the record keeps ---------------------------------------------------------------------------------------
 
@@ -105,7 +151,8 @@ class Roster:
         A cell whose own row is missing, because the record could take none when it came, is known by whatever names it:
         a stop must not be forgotten with it.
         """
-        for row in await self._register.store.rows("cell_progress"):
+        progress = await self._register.store.rows("cell_progress")
+        for row in sorted(progress, key=lambda row: row["updated_at"]):
             cell = self._recalled(row["cell"])
             cell.journal, cell.taken = row["journal"], {row["journal"]: row["up_seq"]}
         settings = await self._register.store.rows("settings")
@@ -122,6 +169,8 @@ class Roster:
                 cell = self._recalled(invocation.cell)
                 cell.claim = invocation.id if invocation.status in SESSION else cell.claim
         await self._believe_the_log({row["name"]: row for row in settings})
+        if len(self._cells) > MOST_CELLS:
+            self._forget(0.0)
 
     def _recalled(self, cell_id: str) -> Cell:
         """Return a cell of an earlier run, which is away."""
@@ -135,7 +184,8 @@ class Roster:
         """Take from the log what cells stand under, and what of theirs it holds, whatever their rows say."""
         await self._believe_stops(settings)
         await self._believe_profiles()
-        await self._believe_reports()
+        for cell in self._cells.values():
+            await self._believe_reports(cell)
 
     async def _believe_stops(self, settings: Mapping[str, Row]) -> None:
         """Latch every cell whose stop stands in the log, by a word or its own report; also one that no row knows.
@@ -167,12 +217,11 @@ class Roster:
                 self._register.unfounded[f"profile/{cell.id}"] = f"its row says `{cell.profile}`"
                 cell.profile = profile
 
-    async def _believe_reports(self) -> None:
+    async def _believe_reports(self, cell: Cell) -> None:
         """Take no report for recorded that the log does not hold: what is acknowledged, a cell forgets."""
-        for cell in self._cells.values():
-            held = await self._register.store.ask(partial(reported, cell=cell.id, journals=tuple(cell.taken)))
-            for journal, seq in held.items():
-                if cell.taken[journal] > seq:
-                    name = f"{'cell_progress' if journal == cell.journal else 'journals'}/{cell.id}"
-                    self._register.unfounded[name] = progress_problem(cell.taken[journal], seq)
-                    cell.taken[journal] = seq
+        held = await self._register.store.ask(partial(reported, cell=cell.id, journals=tuple(cell.taken)))
+        for journal, seq in held.items():
+            if cell.taken[journal] > seq:
+                name = f"{'cell_progress' if journal == cell.journal else 'journals'}/{cell.id}"
+                self._register.unfounded[name] = progress_problem(cell.taken[journal], seq)
+                cell.taken[journal] = seq

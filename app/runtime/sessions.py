@@ -350,8 +350,8 @@ class Sessions:
 
     async def overdue(self, cell: str) -> None:
         """See to a session whose cell is away, and to what a cell that is there has not done."""
-        await self._register.say_unsaid()
         place = self._fleet.cell(cell)
+        await self._register.say_unsaid()
         for invocation in self._sessions_of(cell):
             with suppress(RecordUnavailable):  # tried again at the next round
                 if place.absent_since_s is not None:

@@ -32,6 +32,7 @@ from app.protocol import (
 )
 from app.runtime import cells as cells_module
 from app.runtime import register as register_module
+from app.runtime import roster as roster_module
 from app.runtime import sessions as sessions_module
 from app.runtime.assembly import Runtime
 from app.runtime.budget import Budget
@@ -606,6 +607,40 @@ def test_a_budget_comes_back_with_time_and_never_beyond_its_most() -> None:
     slow.spend(10.0)
     slow.spend(1.0)
     assert 900.0 < slow.owed_s() <= 1000.0
+
+
+async def test_only_so_many_cells_are_known_and_one_that_left_nothing_makes_room_and_comes_back(
+    house: House, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(roster_module, "MOST_CELLS", 3)
+    async with house.open() as runtime:
+        cells = [HandCell(runtime, id=f"workcell-{number}") for number in (1, 2, 3)]
+        for cell in cells:
+            await cell.dial()
+            await cell.report("cell", what="started")
+            await cell.hang_up()
+        await runtime.governor.estop("workcell-1", OPERATOR)
+        refused = await HandCell(runtime, id="workcell-4").dial()
+        await until(lambda: refused.closed is not None)
+        assert refused.closed == (
+            PROTOCOL_VIOLATION, "`3` cells are known, and none may be forgotten: valid is one of them"
+        )  # fmt: skip
+        await refused.hang_up()
+        for cell in runtime.fleet.cells():
+            assert cell.absent_since_s is not None
+            cell.absent_since_s -= roster_module.FORGOTTEN_S
+        four = await HandCell(runtime, id="workcell-4").dial()
+        assert [cell.id for cell in runtime.fleet.cells()] == ["workcell-1", "workcell-3", "workcell-4"]
+        back = await HandCell(runtime, id="workcell-2", seq=1).dial()
+        assert [cell.id for cell in runtime.fleet.cells()] == ["workcell-1", "workcell-2", "workcell-4"]
+        assert (await back.expect("welcome")).acknowledged == 1
+        await back.report("cell", what="and on")
+        assert runtime.fleet.cell("workcell-2").taken == {"jrn-1": 2}
+        await four.hang_up()
+    # and the log counts all reports once: see `House.open`
+    async with house.open() as runtime:
+        assert "workcell-1" in [cell.id for cell in runtime.fleet.cells()]
+        assert len(runtime.fleet.cells()) <= 3
 
 
 async def test_a_gap_closes_the_link(runtime: Runtime, cell: HandCell) -> None:
