@@ -6,12 +6,14 @@ list, so consoles with the same list share its bytes.
 
 from __future__ import annotations
 
+import asyncio
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final
 
 import orjson
 
 from app.protocol import ProtocolError, Scene, address_poses, measure_poses
+from app.runtime.budget import Budget, drawings
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -31,6 +33,8 @@ class Screen:
     shape: tuple[int, int] | None = None  # how many bodies and gauges a frame has
     frames: int = 0
     watchers: dict[Outlet, int] = field(default_factory=dict["Outlet", int])
+    drawings: Budget = field(default_factory=drawings)
+    due: asyncio.TimerHandle | None = None  # until then the watchers have an older scene or path
 
 
 class Screens:
@@ -78,8 +82,22 @@ class Screens:
             screen.path = None  # what is planned by now comes behind it; where nothing is, nothing does
         else:
             screen.path = text
-        for outlet in screen.watchers:
-            outlet.say(text)
+        if screen.due is None:
+            self._tell(screen, text)
+
+    def _tell(self, screen: Screen, *texts: str | None) -> None:
+        """Tell whoever watches; where a cell draws more than it may, they are told later how it looks by then."""
+        if (owed_s := screen.drawings.owed_s()) > 0:
+            screen.due = asyncio.get_running_loop().call_later(owed_s, self._tell_late, screen)
+            return
+        for text in filter(None, texts):
+            screen.drawings.spend(len(text))
+            for outlet in screen.watchers:
+                outlet.say(text)
+
+    def _tell_late(self, screen: Screen) -> None:
+        screen.due = None
+        self._tell(screen, screen.scene, screen.path)
 
     def show(self, cell: str, frame: bytes) -> None:
         """Pass a frame on to whoever watches.
@@ -91,7 +109,7 @@ class Screens:
         screen = self._screens.get(cell)
         if screen is None:
             return  # nobody watches any more, and the cell does not know yet
-        if screen.shape is None:
+        if screen.shape is None or screen.due is not None:
             return  # of an earlier time that somebody watched; the scene is on its way
         if shape != screen.shape:
             raise ProtocolError(f"a frame of `{shape}` bodies and gauges; the scene has `{screen.shape}`")
@@ -105,4 +123,6 @@ class Screens:
 
     def _forget(self, cell: str) -> None:
         """Keep nothing of a cell that nobody watches: the next one to watch gets what it says then."""
-        del self._screens[cell]
+        screen = self._screens.pop(cell)
+        if screen.due is not None:
+            screen.due.cancel()
