@@ -14,7 +14,7 @@ from operator import itemgetter
 from typing import TYPE_CHECKING, Any, Final
 
 from app.audit.documents import follow, is_founded, nothing_said
-from app.audit.errors import RecordUnavailable, RowUnreadable
+from app.audit.errors import AuditError, RecordUnavailable, RowUnreadable
 from app.governance.authority import denial
 from app.governance.model import EventKind, Outcome, Reason, Status
 from app.runtime.answer import RULE, Answer
@@ -365,11 +365,17 @@ class Desk(Questions):
         self.hold(closed)
 
     async def _without(self, closed: Escalation, now: str) -> list[Invocation]:
-        """Return the version of an ended invocation that shows its question closed, if there is one that shows it."""
+        """Return the version of an ended invocation that shows its question closed, if there is one that shows it.
+
+        Raises:
+            RecordUnavailable: the record cannot say now.
+        """
         try:
             ended = await self.register.load(closed.invocation)
         except (RowUnreadable, NotFound):  # damaged, or gone: nobody is to be asked about it either way
             return []
+        except AuditError as error:
+            raise RecordUnavailable(str(error)) from error
         shown = (ended.escalation or {}).get("id") == closed.id
         return [ended.evolve(now, escalation=closed.reference())] if shown else []
 

@@ -8,9 +8,11 @@ from dataclasses import replace
 
 import pytest
 
-from app.audit.errors import RowUnreadable
+from app.audit.errors import RecordUnreadable, RowUnreadable
 from app.audit.places import Places
+from app.audit.reader import Row
 from app.governance.model import GrantScope
+from app.runtime.assembly import Runtime
 from app.runtime.errors import Conflict, ExaminationFailed
 from app.runtime.escalation import Escalation
 from app.runtime.examining import Candidate, Examined
@@ -90,6 +92,30 @@ async def test_a_start_on_damaged_rows_says_which_and_lets_nothing_come_of_them(
         # What nobody can read any more is not asked; a question whose own row alone is damaged is, as the log has it.
         await second.desk.expire_due()
         assert ([question.invocation for question in second.desk.pending()] == [asked]) is (table != "invocations")
+
+
+async def test_a_question_is_withdrawn_once_the_disk_can_say_what_became_of_its_invocation(
+    runtime: Runtime, cell: HandCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    name = await running(runtime, cell)
+    await cell.report("escalation", name, reason="contact")
+    question = runtime.desk.pending_for(name)
+    assert question is not None
+    await cell.ended(name, "stopped")
+    row, asked = runtime.store.row, list[str]()
+
+    async def unread(table: str, **key: str) -> Row | None:
+        asked.append(table)
+        raise RecordUnreadable(runtime.store.places.database, "disk I/O error")
+
+    monkeypatch.setattr(runtime.store, "row", unread)
+    runtime.desk.hold(question)
+    await until(lambda: asked.count("invocations") > 1)
+    assert not runtime.governor.broken
+    assert runtime.desk.pending() == [question]
+    monkeypatch.setattr(runtime.store, "row", row)
+    await until(lambda: not runtime.desk.pending())
+    assert (await runtime.desk.get(question.id))["status"] == "withdrawn"
 
 
 async def test_a_question_about_an_invocation_that_is_gone_is_withdrawn(house: House) -> None:
