@@ -69,6 +69,16 @@ def questions_of(events: Sequence[Event]) -> list[Escalation]:
     return found
 
 
+async def last_phase(store: AuditStore, invocation: str) -> str | None:
+    """Return the phase that the question about a session which was asked last waits for; read back no further."""
+    before: int | None = None
+    while page := await store.events(invocation=invocation, before=before, newest=True, limit=PAGE):
+        if (found := last_question(page[::-1])) is not None:
+            return found.get("phase")
+        before = page[-1].seq
+    return None
+
+
 def last_question(events: Sequence[Event]) -> dict[str, Any] | None:
     """Return the question about an invocation that was asked last, as the log has it; None where none was."""
     return next(reversed(documents(events, "escalation")), None)

@@ -41,7 +41,7 @@ from app.runtime.failures import failure
 from app.runtime.hands import HELD, OPEN, never_taken, over
 from app.runtime.kernel import LAUNCH_WITHIN_S
 from app.runtime.questions import RULE
-from app.runtime.recollection import events_of, last_question
+from app.runtime.recollection import events_of, last_phase, last_question
 from app.runtime.story import DONE, Story, denied
 from app.runtime.telemetry import CUT_OFF
 from app.runtime.uncut import uncut
@@ -396,10 +396,9 @@ class Sessions:
         if invocation.status is not Status.ESCALATED:
             return None
         try:
-            last = last_question(await events_of(self._register.store, invocation=invocation.id))
+            return await last_phase(self._register.store, invocation.id)
         except AuditError as error:
             raise RecordUnavailable(str(error)) from error
-        return None if last is None else last.get("phase")
 
     def _sessions_of(self, cell: str) -> list[Invocation]:
         return [known for known in self._register.live() if known.cell == cell and known.status in SESSION]

@@ -7,9 +7,12 @@ from typing import Any
 import pytest
 
 from app.audit.errors import RecordUnavailable
+from app.audit.event import Event, EventDraft
+from app.governance.model import EventKind
 from app.protocol import LEASE_MS
 from app.runtime.assembly import Runtime
 from app.runtime.errors import Conflict
+from app.runtime.recollection import PAGE, last_phase
 
 from .conftest import AGENT, CELL, ENGINEER, OPERATOR, HandCell, House, grasp, navigate, until
 from .test_desk import held
@@ -123,3 +126,42 @@ async def test_silence_ends_a_session_although_another_question_cannot_be_record
         assert one.ops() == ["resolve_terminate"]
         monkeypatch.setattr(runtime.register, "append", append)
         house.wall_s.offset_s = 0.0
+
+
+async def test_who_is_asked_again_waits_for_what_was_asked_last_and_not_for_all_that_was_said(
+    house: House, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async with house.open() as runtime:
+        cell = await HandCell(runtime).dial()
+        await cell.state()
+        name = await running(runtime, cell)
+        alert = EventDraft(kind=EventKind.ALERT, actor=CELL, invocation=name, body={"rule": "separation"})
+        await runtime.register.append([alert] * (2 * PAGE))
+        await cell.report("escalation", name, reason="confirm:release")
+        question = runtime.desk.pending_for(name)
+        assert question is not None
+        await runtime.desk.resolve(question.id, OPERATOR, "approve", question.digest)
+        read: list[int] = []
+        events = runtime.store.events
+
+        async def counted(**asked: Any) -> list[Event]:
+            found = await events(**asked)
+            read.append(len(found))
+            return found
+
+        monkeypatch.setattr(runtime.store, "events", counted)
+        house.wall_s.offset_s = 3.0
+        await until(lambda: runtime.desk.pending_for(name) is not None)
+        assert sum(read) <= PAGE
+        anew = runtime.desk.pending_for(name)
+        assert anew is not None
+        assert (anew.reasons[0]["code"], anew.phase) == ("not_gone_on", "release")
+
+
+async def test_a_question_is_found_however_much_was_said_since(runtime: Runtime, cell: HandCell) -> None:
+    name = await running(runtime, cell)
+    await cell.report("escalation", name, reason="confirm:release")
+    alert = EventDraft(kind=EventKind.ALERT, actor=CELL, invocation=name, body={"rule": "separation"})
+    await runtime.register.append([alert] * (PAGE + 1))
+    assert await last_phase(runtime.store, name) == "release"
+    assert await last_phase(runtime.store, "inv_nothing") is None
