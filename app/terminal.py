@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import signal
-from typing import TYPE_CHECKING, Final
+import unicodedata
+from typing import TYPE_CHECKING, Any, Final
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
@@ -22,13 +23,36 @@ DAMAGED: Final = 65  # EX_DATAERR of sysexits.h: what it would go on from cannot
 
 SHOWN_AFTER_S: Final = 1.0
 
-# What is recorded is shown as it stands: `:x:` is no picture.
-out = Console(highlight=False, soft_wrap=True, emoji=False)
-err = Console(stderr=True, highlight=False, soft_wrap=True, emoji=False)
+STEERING: Final = frozenset({"Cc", "Cf", "Zl", "Zp", "Cs"})
+"""Categories of Unicode: what steers a terminal, turns a line round, is there and not to be seen, or is no text."""
 
-DIRECTING: Final = (0x061C, 0x200E, 0x200F, *range(0x2028, 0x202F), *range(0x2066, 0x206A))  # lines and their direction
-CONTROLS: Final = (*(code for code in range(0x20) if chr(code) not in "\n\t"), *range(0x7F, 0xA0))
-ESCAPES: Final = {code: f"\\u{code:04x}" for code in (*CONTROLS, *DIRECTING)}
+
+class Lines(Console):
+    """Where all that commands say is written; whoever wrote a text, it steers no terminal."""
+
+    def print(self, *objects: Any, **how: Any) -> None:  # noqa: ANN401  # what rich prints, and how
+        """Write as rich does, with each text `plain`."""
+        super().print(*[plain(one) if isinstance(one, str) else one for one in objects], **how)
+
+
+def plain(text: str) -> str:
+    """Return a text with escapes, as JSON has them, for what would steer a terminal, turn a line, or not be seen.
+
+    What is no text came as bytes that are no UTF-8: a file may be called so.
+    """
+    return text if text.isprintable() else "".join(map(_shown, text))
+
+
+def _shown(character: str) -> str:
+    if character in "\n\t" or unicodedata.category(character) not in STEERING:
+        return character
+    units = character.encode("utf-16-be", "surrogatepass").hex()
+    return "".join(f"\\u{units[place : place + 4]}" for place in range(0, len(units), 4))
+
+
+# What is recorded is shown as it stands: `:x:` is no picture.
+out = Lines(highlight=False, soft_wrap=True, emoji=False)
+err = Lines(stderr=True, highlight=False, soft_wrap=True, emoji=False)
 
 
 def stop_signals() -> tuple[signal.Signals, ...]:
@@ -37,17 +61,9 @@ def stop_signals() -> tuple[signal.Signals, ...]:
     return asked if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN else (*asked, signal.SIGHUP)
 
 
-def plain(text: str) -> str:
-    """Return a text with what would steer a terminal, turn the order of what it shows, or is none, as JSON escapes it.
-
-    What is none came as bytes that are no UTF-8: a file may be called so.
-    """
-    return text.translate(ESCAPES).encode(errors="backslashreplace").decode()
-
-
 def say(message: str) -> None:
-    """Write a line, or several, as they are; what steers a terminal is escaped."""
-    out.print(plain(message), markup=False)
+    """Write a line, or several, as they are."""
+    out.print(message, markup=False)
 
 
 def remark(message: str) -> None:
@@ -61,15 +77,15 @@ def complain(message: str, lines: Iterable[str] = (), *, hint: str = "") -> None
     with contextlib.suppress(OSError):
         say_error(message, hint=hint)
         for line in lines:
-            err.print(f"  {plain(line)}", markup=False)
+            err.print(f"  {line}", markup=False)
 
 
 def say_error(message: str, *, hint: str = "") -> None:
     """Write what went wrong, and what to do about it."""
     err.print("[bold red]error:[/] ", end="")
-    err.print(plain(message), markup=False)
+    err.print(message, markup=False)
     if hint:
-        err.print(f"       {plain(hint)}", markup=False)
+        err.print(f"       {hint}", markup=False)
 
 
 @contextlib.contextmanager

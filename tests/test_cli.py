@@ -199,7 +199,7 @@ def test_says_how_far_an_altered_log_is_good(tmp_path: Path, seq: int, relied_on
     assert relied_on in said
 
 
-ODD = "force :100: :x: [red]ok[/] \u009b2J \u202eyako\u202c \x1b[2J \x7f \u2028 é 手 \t|"
+ODD = "force :100: :x: [red]ok[/] mug\u200b_1 \U000e0041\xad \u009b2J \u202eyako\u202c \x1b[2J \x7f \u2028 é 手 \t|"
 
 
 @pytest.mark.parametrize("words", [("show", "inv_1"), ("tail",)])
@@ -687,3 +687,15 @@ print(threads, *sorted({"sqlalchemy", "httpx"} & set(sys.modules)))
     given = {name: value for name, value in os.environ.items() if name != "OPENBLAS_NUM_THREADS"}
     done = subprocess.run([sys.executable, "-c", text], env=given, capture_output=True, text=True, check=True)
     assert done.stdout.split() == ["1"]
+
+
+def test_no_file_of_policy_steers_the_terminal_of_whoever_checks_it(tmp_path: Path) -> None:
+    folder = shutil.copytree(POLICIES, tmp_path / "policies")
+    profile = folder / "profiles" / "human-shared.yaml"
+    text = profile.read_text()
+    profile.write_text(text.replace("sensitivity:", '"sen\\u001b]0;yours\\u0007\\u200bsitivity":', 1))
+    assert profile.read_text() != text
+    code, said = run("policy", "check", str(folder))
+    assert code == 1
+    assert "u001b]0;yours" in said
+    assert not [character for character in said if not character.isprintable() and character != "\n"]

@@ -102,7 +102,8 @@ async def test_a_question_is_withdrawn_once_the_disk_can_say_what_became_of_its_
     question = runtime.desk.pending_for(name)
     assert question is not None
     await cell.ended(name, "stopped")
-    row, asked = runtime.store.row, list[str]()
+    row = runtime.store.row
+    asked: list[str] = []
 
     async def unread(table: str, **key: str) -> Row | None:
         asked.append(table)
