@@ -12,6 +12,7 @@ import contextlib
 import fcntl
 import hmac
 import logging
+import math
 import secrets
 import unicodedata
 from dataclasses import dataclass
@@ -87,7 +88,8 @@ class Principals:
         """Read the file. Raises `PrincipalsUnreadable`."""
         self._path = path
         self._stamp = _stamp(path)
-        self._found = self._known = _read(path)
+        self._until_s: dict[Credential, float] = {}
+        self._found = self._known = self._timed(_read(path))
         self._next_look_s = clock.monotonic_s() + LOOK_AGAIN_S
         self._on_roll = False
         self._problem: str | None = None
@@ -114,7 +116,7 @@ class Principals:
         stamp = _stamp(self._path)
         if stamp == self._stamp:
             return
-        self._found = _read(self._path)
+        self._found = self._timed(_read(self._path))
         self._stamp = stamp
         old = self._known
         self._known = {
@@ -122,6 +124,21 @@ class Principals:
             for digest, credential in self._found.items()
             if not self._on_roll or old.get(digest) == credential
         }
+
+    def _timed(self, found: dict[bytes, Credential]) -> dict[bytes, Credential]:
+        """Note how long what was read may hold from now on, unless that is known."""
+        late_s = clock.monotonic_s() - clock.wall_s()
+        self._until_s = {
+            one: self._until_s.get(one, one.expires_at_s + late_s)
+            for one in found.values()
+            if one.expires_at_s is not None
+        }
+        return found
+
+    def _over(self, credential: Credential) -> bool:
+        """Say whether a token that was read holds no longer; a clock that is put back makes that no later."""
+        until_s = self._until_s.get(credential, math.inf)
+        return credential.expired(clock.wall_s()) or clock.monotonic_s() >= until_s
 
     def _note(self, problem: str | None) -> None:
         """Keep why the file cannot be read, and log it once for each change."""
@@ -159,13 +176,12 @@ class Principals:
     def has(self, token: str) -> bool:
         """Say whether a token stands in the file and has not expired; before the record says so, it may not count."""
         found = self._found.get(sha256(token.encode()).digest())
-        return found is not None and not found.expired(clock.wall_s())
+        return found is not None and not self._over(found)
 
     def _holds(self, name: str, role: Role) -> bool:
         # What is found, and not what counts: at a start nobody counts before the record says so.
-        now_s = clock.wall_s()
         return any(
-            one.principal.name == name and one.principal.role is role and not one.expired(now_s)
+            one.principal.name == name and one.principal.role is role and not self._over(one)
             for one in self._found.values()
         )
 
@@ -201,7 +217,7 @@ class Principals:
         credential = self._known.get(digest)
         if credential is None or not hmac.compare_digest(credential.digest, digest):
             raise _refused("token_invalid", "the token is not known here")
-        if credential.expires_at_s is not None and credential.expired(clock.wall_s()):
+        if credential.expires_at_s is not None and self._over(credential):
             raise _refused("token_expired", f"the token expired at `{clock.rfc3339(credential.expires_at_s)}`")
         return credential.principal
 

@@ -108,6 +108,23 @@ def test_a_token_holds_until_its_time_is_over(tmp_path: Path) -> None:
     assert open_principals(tmp_path).authenticate(bearer(token)).name == "visitor"
 
 
+def test_no_token_holds_longer_because_the_clock_is_put_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    open_principals(tmp_path)
+    token = issue_token(tmp_path, name="gus", role=Role.OPERATOR, ttl_s=60.0)
+    principals = Principals(tmp_path / PRINCIPALS_FILE)
+    wall_s, monotonic_s = clock.wall_s(), clock.monotonic_s()
+    monkeypatch.setattr(clock, "wall_s", lambda: wall_s - 7200.0)
+    monkeypatch.setattr(clock, "monotonic_s", lambda: monotonic_s + 50.0)
+    issue_token(tmp_path, name="another", role=Role.AGENT)  # so that the file is read again
+    assert principals.authenticate(bearer(token)).name == "gus"
+    monkeypatch.setattr(clock, "monotonic_s", lambda: monotonic_s + 61.0)
+    with pytest.raises(Problem) as refused:
+        principals.authenticate(bearer(token))
+    assert refused.value.code == "token_expired"
+    assert not principals.has(token)
+    assert not principals.may_give("gus"), "nor does what they approved count"
+
+
 def test_a_running_server_learns_of_a_new_token(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     principals = open_principals(tmp_path)
     token = issue_token(tmp_path, name="second", role=Role.AGENT)
