@@ -265,7 +265,7 @@ def issue_token(
     Raises:
         ValueError: an empty name, or one with control characters or blanks around it; one that the record uses for a
             machine, or for somebody of another role; one that reads like another's, or like a standing grant's; a
-            station that names no cell.
+            station that names no cell, or of somebody who is neither an operator nor a cell.
         PrincipalsUnreadable: the file is not in its form.
         RecordDamaged: the record cannot be read, so that nobody knows which cells there are.
         OSError: the directory cannot be read or written, or no server has made it.
@@ -278,6 +278,8 @@ def issue_token(
         raise ValueError(f"`{name}` is what the record calls a machine: valid is another name")
     if as_read(name).startswith(GRANTED):  # of who approved a launch, the record could not tell which it was
         raise ValueError(f"`{name}` is what the record calls a standing grant: valid is another name")
+    if station is not None and role not in {Role.OPERATOR, Role.CELL}:
+        raise ValueError(f"the station `{station}` is where an operator takes over: valid is none with `{role}`")
     if station is not None and CELL_ID.fullmatch(station) is None:  # who stands there would be taken for remote
         raise ValueError(f"the station `{station}` is no name of a cell: valid are {VALID_CELL_ID}")
     token = _new_token(role)

@@ -216,6 +216,13 @@ def test_does_not_start_on_principals_it_cannot_read(tmp_path: Path, content: st
         withdraw_tokens(tmp_path, "maria")
 
 
+@pytest.mark.parametrize("role", sorted(set(Role) - {Role.OPERATOR, Role.CELL}))
+def test_nobody_but_an_operator_or_the_cell_itself_stands_at_one(tmp_path: Path, role: Role) -> None:
+    open_principals(tmp_path)
+    with pytest.raises(ValueError, match=f"valid is none with `{role}`"):
+        issue_token(tmp_path, name="maria", role=role, station="workcell-1")
+
+
 @pytest.mark.parametrize("station", ["", "workcell 1", "Workcell-1"])
 def test_refuses_a_station_that_no_cell_can_be(tmp_path: Path, station: str) -> None:
     open_principals(tmp_path)
