@@ -9,20 +9,37 @@ import errno
 import platform
 import sys
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from app.importing import importing
 
 with importing():
     import typer
+    from pydantic import ValidationError
+    from typer.core import TyperGroup
 
     from app import __version__, cli_audit, cli_evaluate, cli_policy, cli_sim, cli_token, cli_versions
     from app.cli_data import directory
     from app.config import DEFAULT_PROFILE, CellSettings, ConfigError, Settings, cell_token, check_pace
     from app.terminal import MISUSE, say_error
 
+
+class Commands(TyperGroup):
+    """The commands, which name the value that one of them cannot read: typer says only what would be valid."""
+
+    def invoke(self, ctx: Any) -> Any:  # noqa: ANN401  # typer's own
+        """Run a command as typer does."""
+        try:
+            return super().invoke(ctx)
+        except typer.BadParameter as error:
+            if isinstance(cause := error.__cause__, ValidationError):
+                error.message = f"`{cause.errors()[0]['input']}`: {error.message}"
+            raise
+
+
 app = typer.Typer(
     name="reins",
+    cls=Commands,
     help="Reins governs what an agent may do with a robot: it admits, constrains, asks, watches, recovers and records.",
     epilog="Exit codes: 0 fine, 1 a finding, 2 misuse. Start with `reins demo`, or `reins serve` and the printed link.",
     no_args_is_help=True,

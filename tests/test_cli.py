@@ -30,7 +30,7 @@ from app.cli import app, main
 from app.config import CELL_TOKEN_VARIABLE, CellSettings, ConfigError, Settings, cell_token, find_policies
 from app.main import listen, operator_token, read_cell_token
 from app.runtime.errors import ExaminationFailed
-from app.terminal import INTERRUPTED, plain
+from app.terminal import INTERRUPTED, MISUSE, plain
 from tests.agent.scripted_server import Turn, serve
 from tests.audit.conftest import draft, fill, hide_from_index
 from tests.governance.policy_world import POLICIES
@@ -699,3 +699,22 @@ def test_no_file_of_policy_steers_the_terminal_of_whoever_checks_it(tmp_path: Pa
     assert code == 1
     assert "u001b]0;yours" in said
     assert not [character for character in said if not character.isprintable() and character != "\n"]
+
+
+@pytest.mark.parametrize(
+    ("words", "value", "valid"),
+    [
+        ("serve --port many", "many", "integer"),
+        ("serve --pace slow", "slow", "number"),
+        ("audit tail -n 0", "0", "1"),
+        ("audit tail -n 501", "501", "500"),
+        ("token issue gus --role king", "king", "operator"),
+        ("demo --approver bob", "bob", "scripted"),
+    ],
+)
+def test_names_the_value_of_an_option_that_it_cannot_read(words: str, value: str, valid: str) -> None:
+    code, said = run(*words.split())
+    assert code == MISUSE
+    told = said[said.index("Invalid value") :]
+    assert f"`{value}`" in told
+    assert valid in told
