@@ -32,7 +32,7 @@ def issue(
         float | None, typer.Option(help="How long it holds, up to a hundred years; default: for good.")
     ] = None,
     station: Annotated[
-        str | None, typer.Option(help="The cell the bearer stands at: there they take over first; or is.")
+        str | None, typer.Option(help="An operator's: the cell they stand at, and take over first; a cell's: its name.")
     ] = None,
     data: Data = Path("data"),
 ) -> None:
