@@ -165,17 +165,19 @@ def readable(row: Locator) -> bool:
     )
 
 
+# As one of 400 letters is where they are large and spaced out: lower than the screen, of which a bar takes a part. From
+# the first moment on: a line that stood there otherwise for a while would have been read.
+LARGE_REASONS = """const large = new CSSStyleSheet();
+large.replaceSync('article li p { padding-top: 660px; }');
+document.adoptedStyleSheets = [...document.adoptedStyleSheets, large];"""
+
+
 def test_a_reason_that_is_higher_than_the_room_above_the_stop_is_read_to_its_end(
     server: ServerProcess, people: People, floor: Floor
 ) -> None:
     asked = floor.ask()
-    person = people.sit(server, size=PHONE)
+    person = people.sit(server, size=PHONE, init=LARGE_REASONS)
     approve, read = person.button(re.compile("^Approve")), person.button("Read it first")
-    # As one of 400 letters is where they are large and spaced out: lower than the screen, of which a bar takes a part.
-    person.page.evaluate(
-        """() => { const large = new CSSStyleSheet(); large.replaceSync('article li p { padding-top: 660px; }');
-        document.adoptedStyleSheets = [...document.adoptedStyleSheets, large]; }"""
-    )
     reasons = person.page.get_by_role("article").locator("li")
     room = person.page.locator("#page").evaluate("(page) => page.clientHeight")
     assert room < box(reasons.first)["height"] < PHONE["height"]
