@@ -272,7 +272,6 @@ class People:
         return said
 
 
-REACH_M = 0.2
 STANDS = {"dock": (0.8, 0.8), "bench_a_stand": (1.6, 4.6)}  # as in policies/site.yaml
 
 
@@ -286,18 +285,19 @@ class Floor:
 
     def ask(self, object_id: str = "mug_1", **metadata: Any) -> dict[str, Any]:
         """Propose a grasp, which waits for a person."""
-        self._at_the_bench()
+        self._reach(object_id)
         return self._propose("awaiting_approval", "grasp_object", metadata, object_id=object_id, force_n=80)
 
     def grasp_slowly(self) -> dict[str, Any]:
         """Propose a grasp that a standing grant answers for, and that takes a while."""
-        self._at_the_bench()
+        self._reach("mug_1")
         return self._propose("running", "grasp_object", {}, object_id="mug_1", speed_mps=0.02)
 
-    def _at_the_bench(self) -> None:
-        """Have the robot where it reaches things: a grasp of what is out of reach would be put off for good."""
+    def _reach(self, object_id: str) -> None:
+        """Have the robot stand where it reaches a thing: a grasp of what is out of reach would be put off for good."""
+        # Where it stands says too little: it reaches what is before it, and whoever drove it may have turned it.
+        away = not self.server.facts()["objects"][object_id]["reachable"]
         cell = self.server.cell()
-        away = cell["facts"] and math.dist(cell["facts"]["base"][:2], STANDS["bench_a_stand"]) > REACH_M
         if away and cell["busy"] is None and not cell["latched"]:
             self.drive(target="bench_a_stand")
             until(lambda: self.server.cell()["busy"] is None, what="a robot that is back at the bench")
