@@ -15,6 +15,8 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 ROOM_BYTES: Final = 64 * 1024  # less than this is no room for the record of a session that comes to its end in order
+KEPT_BYTES: Final = 256 * 1024 * 1024  # of a disk for the record alone, or this share of it where that is less
+KEPT_SHARE: Final = 0.05
 
 
 def full(where: Path | int, what: str) -> str | None:
@@ -30,12 +32,30 @@ def full(where: Path | int, what: str) -> str | None:
         disk = os.statvfs(where)
     except OSError as error:
         return f"the disk of the {what} cannot be looked at: {error.strerror}"
-    free = disk.f_frsize * (disk.f_bfree if os.geteuid() == 0 else disk.f_bavail)
+    free = _free(disk)
     if disk.f_flag & os.ST_RDONLY:
         return f"the disk of the {what} is read-only"
     if disk.f_blocks and free < ROOM_BYTES:  # a file system without blocks does not say
         return f"the disk of the {what} is full: `{free}` bytes are free; valid: `{ROOM_BYTES}` or more"
     return None
+
+
+def scarce(where: Path | int) -> bool:
+    """Return whether what a disk has left is for the record alone: whatever may be lost is not written there any more.
+
+    Args:
+        where: a folder on it, or an open file.
+
+    Raises:
+        OSError: it cannot be looked at.
+    """
+    disk = os.statvfs(where)
+    return _free(disk) < min(KEPT_BYTES, KEPT_SHARE * disk.f_frsize * disk.f_blocks)
+
+
+def _free(disk: os.statvfs_result) -> int:
+    """Return how many bytes this process may still put there: root may take what is kept back from others."""
+    return disk.f_frsize * (disk.f_bfree if os.geteuid() == 0 else disk.f_bavail)
 
 
 def displaced(path: Path, held: os.stat_result, what: str) -> str | None:

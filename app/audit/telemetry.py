@@ -9,9 +9,10 @@
                  message and in those before which it has moved
 
 Rows arrive packed in batches and are written by a thread of the file's own, so that the event loop never waits for
-compression or the disk. A channel that was not finite at a tick is null there, a pose that was not is left out, and a
-time that is none counts as that of the row before. The file appears under its name only when it is complete; its
-SHA-256 becomes an event, and the log vouches for it.
+compression or the disk. What is left of a disk that runs out is the record's: rows are dropped, and counted. A channel
+that was not finite at a tick is null there, a pose that was not is left out, and a time that is none counts as that of
+the row before. The file appears under its name only when it is complete; its SHA-256
+becomes an event, and the log vouches for it.
 """
 
 from __future__ import annotations
@@ -42,7 +43,7 @@ from app.audit.telemetry_messages import (
     stamp,
     transform_message,
 )
-from app.disk import sync_folder
+from app.disk import scarce, sync_folder
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -148,8 +149,8 @@ class TelemetryWriter:
         if len(set(names)) != len(names) or len(self._row.unpack(bytes(self._row.size))) != len(names):
             raise ValueError(f"`{self._row.format}` does not pack one value for each of the channels {names}")
         self._draft = path.with_name(path.name + ".partial")
-        self._waiting: queue.Queue[tuple[Callable[[_Tape], None], int] | None] = queue.Queue(MAX_WAITING)
-        self._dropped = 0
+        self._waiting: queue.Queue[tuple[Callable[[_Tape], None], int, int] | None] = queue.Queue(MAX_WAITING)
+        self._dropped, self._homeless = 0, 0  # as too much waited, and as the disk had no room for it
         self._taken, self._written = 0, 0  # rows, and what holds as much: each is counted in one thread alone
         self._error: Exception | None = None
         self._counts = (0, 0)
@@ -223,7 +224,12 @@ class TelemetryWriter:
             raise _unwritten(error) from error
         rows, events = self._counts
         return TelemetryFile(
-            file=self.path.name, sha256=digest, bytes=size, rows=rows, events=events, dropped=self._dropped
+            file=self.path.name,
+            sha256=digest,
+            bytes=size,
+            rows=rows,
+            events=events,
+            dropped=self._dropped + self._homeless,
         )
 
     async def aclose(self) -> TelemetryFile:
@@ -236,7 +242,7 @@ class TelemetryWriter:
         if self._waiting.full() or self._taken - self._written + held > MAX_WAITING_ROWS:
             self._dropped += count  # the session goes first; the loss is counted and stands in the record
             return
-        self._waiting.put_nowait((work, held))  # nobody else puts
+        self._waiting.put_nowait((work, count, held))  # nobody else puts
         self._taken += held
 
     def _work(self, channels: tuple[Channel, ...], start_wall_s: float) -> None:
@@ -246,8 +252,11 @@ class TelemetryWriter:
             with self._draft.open("wb") as file:
                 tape = _Tape(file, channels, start_wall_s)
                 while (given := self._waiting.get()) is not None:
-                    work, held = given
-                    work(tape)
+                    work, count, held = given
+                    if scarce(file.fileno()):
+                        self._homeless += count
+                    else:
+                        work(tape)
                     self._written += held
                 closed = True
                 tape.finish()

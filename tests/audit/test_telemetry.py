@@ -20,6 +20,7 @@ from app.audit.event import Event, EventDraft, prepare
 from app.audit.telemetry import Channel, TelemetryFile, TelemetryWriter, channels
 from app.audit.telemetry_reading import read_telemetry
 from tests.audit.conftest import TIME
+from tests.conftest import until
 
 NAMES = ("time_s", "base_x_m", "base_y_m", "base_yaw_rad", "tcp_x_m", "tcp_y_m", "tcp_z_m", "grip_force_n", "progress")
 ROW = struct.Struct("<d8f")
@@ -266,6 +267,22 @@ def test_a_full_disk_is_reported_at_the_end(tmp_path: Path, rows: int) -> None:
     with pytest.raises(RecordUnavailable, match=r"telemetry file: No space left on device$"):
         writer.close()
     assert not (tmp_path / "a.mcap").exists()
+
+
+def test_what_is_left_of_a_disk_that_runs_out_is_left_to_the_record(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    disk = os.statvfs(tmp_path)
+    writer = open_writer(tmp_path / "a.mcap")
+    for free, homeless in ((65_536, 0), (65_535, 20), (0, 40), (65_536, 40)):  # blocks; of 100 GB so many are kept
+        now = os.statvfs_result((4096, 4096, 25_000_000, free, free, *disk[5:]))
+        monkeypatch.setattr(os, "statvfs", lambda _, now=now: now)
+        writer.write(pack(20))
+        until(lambda: writer._written == writer._taken)
+        assert writer._homeless == homeless
+    summary = writer.close()
+    assert (summary.rows, summary.dropped) == (40, 40)
+    assert len(read(tmp_path / "a.mcap")["/telemetry"]) == 40
 
 
 @pytest.mark.parametrize(("bound", "most"), [("MAX_WAITING", 3), ("MAX_WAITING_ROWS", 3000)])
