@@ -557,15 +557,16 @@ class Fleet:
         self._desk.check(cell.id, event)
 
     @uncut
-    async def record(self, attachment: Line, batch: Sequence[UpEvent]) -> None:
+    async def record(self, attachment: Line, batch: Sequence[UpEvent], lengths: Sequence[int]) -> None:
         """Record what of a batch the log does not hold yet, and how far it has come then.
 
         Runs to its end even if the link that brought the batch is gone meanwhile: what the record has taken is known
-        to have been taken, also to the next link.
+        to have been taken, also to the next link, and its cell has spent what it costs.
 
         Args:
             attachment: which link brought it.
             batch: the reports, in order.
+            lengths: of each, in characters.
 
         Raises:
             RecordUnavailable: nothing was recorded.
@@ -586,6 +587,7 @@ class Fleet:
             taken = cell.taken_with(journal, fresh[-1].seq)
             await self._desk.absorb(cell.id, fresh, cell.progress(taken, self._register.now()))
             cell.taken = taken
+            cell.records.spend(sum(lengths[len(batch) - len(fresh) :]) + len(fresh) * ROW)
         for event in fresh:
             if event.kind == EventKind.LAUNCH:
                 cell.onward = None

@@ -42,7 +42,6 @@ from app.protocol import (
     is_poses,
     unpack_batch,
 )
-from app.runtime.budget import ROW
 
 if TYPE_CHECKING:
     from collections.abc import Coroutine, Mapping, Sequence
@@ -129,8 +128,10 @@ class Hub(Protocol):
         """Refuse a report that this cell may not make. Raises `ProtocolError`."""
         ...
 
-    def record(self, attachment: Attachment, batch: Sequence[UpEvent]) -> Coroutine[Any, Any, None]:
-        """Record a batch of reports. Raises `RecordUnavailable`, `ProtocolError`."""
+    def record(
+        self, attachment: Attachment, batch: Sequence[UpEvent], lengths: Sequence[int]
+    ) -> Coroutine[Any, Any, None]:
+        """Record a batch of reports, each of so many characters. Raises `RecordUnavailable`, `ProtocolError`."""
         ...
 
 
@@ -333,8 +334,7 @@ class Attachment:
                     continue
                 for _ in batch:
                     self._reports.popleft()
-                    self._waiting -= (length := self._lengths.popleft())
-                    self.cell.records.spend(length + ROW)
+                    self._waiting -= self._lengths.popleft()
                 self.post(Ack(seq=self.cell.up_seq))
             await self._hub.caught_up(self)
 
@@ -345,7 +345,7 @@ class Attachment:
 
     async def _recorded(self, batch: Sequence[UpEvent]) -> bool:
         try:
-            await self._hub.record(self, batch)
+            await self._hub.record(self, batch, list(islice(self._lengths, len(batch))))
         except RecordUnavailable:
             return False
         except (ProtocolError, EventMalformed) as error:  # the second: what JSON may say and the record cannot

@@ -599,6 +599,18 @@ async def test_another_link_is_recorded_of_a_cell_once_what_it_reported_is_paid_
     assert told == ["attached", "lost", "attached"]
 
 
+async def test_a_cell_that_leaves_while_it_is_recorded_has_spent_what_that_costs(
+    runtime: Runtime, cell: HandCell
+) -> None:
+    known, long = runtime.fleet.cell(CELL), cell.event("cell", what="started", detail="x" * 200_000)
+    known.records = Budget(most=1.0, per_s=1.0)
+    await cell.say(long)
+    await until(known.recording.locked)
+    await cell.hang_up()
+    await until(lambda: known.up_seq == long.seq)
+    assert known.records.owed_s() > 200_000.0
+
+
 def test_a_budget_comes_back_with_time_and_never_beyond_its_most() -> None:
     budget = Budget(most=10.0, per_s=1e9)
     budget.spend(5.0)
