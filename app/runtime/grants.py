@@ -304,7 +304,7 @@ class Grants:
         cell = self._fleet.cell(grant.cell) if self._fleet.knows(grant.cell) else None
         if cell is not None and self._fleet.latched(cell):
             return "estop"
-        return "profile_changed" if cell is None or cell.profile != grant.profile else None
+        return None if self._fleet.profile(cell) == grant.profile else "profile_changed"  # forgotten: the default
 
     async def watch(self) -> None:
         """End what is over, for ever."""

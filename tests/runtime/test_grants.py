@@ -16,6 +16,7 @@ from app.governance import bundle
 from app.governance.model import GrantScope, Risk, Role
 from app.governance.policy import PolicySet
 from app.governance.policy_model import GrantTerms
+from app.runtime import roster
 from app.runtime.assembly import Runtime
 from app.runtime.errors import Conflict, Forbidden, InvalidParams, NotFound
 from app.runtime.grant import GrantRequest, Offer, read_standing
@@ -332,6 +333,23 @@ async def test_another_profile_ends_them(runtime: Runtime, cell: HandCell) -> No
     await runtime.governor.set_profile(CELL, "real-restricted", ENGINEER)
     await runtime.governor.set_profile(CELL, "human-shared", ENGINEER)
     assert await end(runtime) == ("profile_changed", "erin")
+
+
+async def test_a_grant_on_a_cell_that_makes_room_for_others_stands(
+    runtime: Runtime, cell: HandCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    await grant(runtime)
+    await cell.hang_up()
+    monkeypatch.setattr(roster, "MOST_CELLS", 1)
+    monkeypatch.setattr(roster, "FORGOTTEN_S", 0.0)
+    other = await HandCell(runtime, id="workcell-2").dial()
+    assert not runtime.fleet.knows(CELL)
+    runtime.desk.grants.look()
+    assert len(runtime.desk.grants.active()) == 1
+    await other.hang_up()
+    back = await HandCell(runtime).dial()
+    await back.state()
+    assert await status(runtime) == "allowed"
 
 
 async def test_a_grant_ends_with_the_authority_of_who_gave_it(house: House, runtime: Runtime, cell: HandCell) -> None:
