@@ -111,7 +111,7 @@ class Roster:
             return False
         stopped = cell.latched or cell.itself or cell.unheard is not None or cell.latch_unkept or cell.resetting
         engaged = cell.claim or cell.control or cell.owed or cell.profile != self.default_profile
-        waits = cell.came or cell.arriving.locked() or cell.recording.locked()
+        waits = cell.came or cell.arriving.locked() or cell.recording.locked() or cell.profiling.locked()
         return not (stopped or engaged or waits) and monotonic_s() - cell.absent_since_s >= away_s
 
     # -- what the record keeps ---------------------------------------------------------------------------------------

@@ -40,7 +40,20 @@ from app.runtime.errors import Conflict
 from app.runtime.link import BATCH, MAX_READ, MAX_SHOWN, MAX_WAITING, MOST_VALUES, PROTOCOL_VIOLATION, RETRY_S
 from app.runtime.outlet import Outlet
 
-from .conftest import AGENT, AT_BENCH, AUDITOR, CELL, OPERATOR, OPERATOR_2, HandCell, House, grasp, navigate, until
+from .conftest import (
+    AGENT,
+    AT_BENCH,
+    AUDITOR,
+    CELL,
+    ENGINEER,
+    OPERATOR,
+    OPERATOR_2,
+    HandCell,
+    House,
+    grasp,
+    navigate,
+    until,
+)
 
 pytestmark = pytest.mark.anyio
 
@@ -653,6 +666,24 @@ async def test_only_so_many_cells_are_known_and_one_that_left_nothing_makes_room
     async with house.open() as runtime:
         assert "workcell-1" in [cell.id for cell in runtime.fleet.cells()]
         assert len(runtime.fleet.cells()) <= 3
+
+
+async def test_a_cell_is_not_forgotten_while_it_is_put_under_another_profile(
+    runtime: Runtime, cell: HandCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    await cell.hang_up()
+    await (await HandCell(runtime, id="workcell-2").dial()).hang_up()
+    monkeypatch.setattr(roster_module, "MOST_CELLS", 2)
+    monkeypatch.setattr(roster_module, "FORGOTTEN_S", 0.0)
+    slow = threading.Event()
+    runtime.register.store._committer.submit(slow.wait)
+    putting = asyncio.create_task(runtime.governor.set_profile(CELL, "real-restricted", ENGINEER))
+    await until(runtime.fleet.cell(CELL).profiling.locked)
+    await HandCell(runtime, id="workcell-3").dial(waits=False)
+    await HandCell(runtime).dial(waits=False)  # the record cannot say yet what it is put under
+    slow.set()
+    await putting
+    assert runtime.fleet.cell(CELL).profile == "real-restricted"
 
 
 async def test_a_gap_closes_the_link(runtime: Runtime, cell: HandCell) -> None:
