@@ -200,8 +200,10 @@ class Cell:
         """Say whether nothing may begin here before reports are in; a session believed here is not kept from anybody.
 
         What the cell has not kept never comes, and what it reports behind that is not taken: then that holds for both.
+        What it reports beyond what one cell may waits: of whatever began now people would hear as late.
         """
-        return self.missing is not None or (self.behind and self.claim is None)
+        waits = self.behind or self.records.owed_s() > 0
+        return self.missing is not None or (waits and self.claim is None)
 
     @property
     def fresh(self) -> bool:

@@ -596,6 +596,23 @@ async def test_beyond_what_is_recorded_of_one_cell_its_reports_wait_and_nothing_
     assert known.records.owed_s() < 0.1
 
 
+async def test_nothing_begins_on_a_cell_whose_reports_wait_and_what_runs_goes_on(
+    runtime: Runtime, cell: HandCell
+) -> None:
+    name = await running(runtime, cell)
+    known = runtime.fleet.cell(CELL)
+    known.records = Budget(most=1.0, per_s=1.0)
+    known.records.spend(100.0)
+    await runtime.governor.pause(name, OPERATOR)
+    assert cell.ops() == ["pause"]
+    assert runtime.fleet.facts(known).online
+    known.records = Budget(most=10_000.0, per_s=1.0)
+    await cell.ended(name, "stopped")
+    known.records.spend(20_000.0)
+    late, _ = await runtime.governor.propose(AGENT, navigate(cell=CELL))
+    assert (late["status"], late["admission"]["reasons"][0]["code"]) == ("deferred", "cell_offline")
+
+
 async def test_another_link_is_recorded_of_a_cell_once_what_it_reported_is_paid_for(
     runtime: Runtime, cell: HandCell
 ) -> None:
