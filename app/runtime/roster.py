@@ -36,7 +36,8 @@ class Roster:
     """The cells of one server, by name. One that was heard of stays, unless others need its place.
 
     Only so many are known. Where one more comes, the one is forgotten that has been away for longest, an hour at the
-    least, and of which nothing is known but what the record holds: that is read back should it come again.
+    least, and of which nothing is known but what the record holds: that is read back should it come again. One that the
+    record knows, and that was forgotten at a start, takes at once the place of another that has not come since.
     """
 
     def __init__(self, register: Register, *, default_profile: str) -> None:
@@ -92,27 +93,31 @@ class Roster:
             ProtocolError: so many are known, and each of them has to be.
         """
         if cell.id not in self._cells and len(self._cells) >= MOST_CELLS:
-            self._forget(FORGOTTEN_S)
+            self._forget(unseen=bool(cell.journal))
             if len(self._cells) >= MOST_CELLS:
                 raise ProtocolError(f"`{MOST_CELLS}` cells are known, and none may be forgotten: valid is one of them")
         return self._cells.setdefault(cell.id, cell)
 
-    def _forget(self, away_s: float) -> None:
+    def _forget(self, *, unseen: bool) -> None:
         """Have room for one more: leave to the record what it holds of cells that have been away, the longest first."""
         engaged = {invocation.cell for invocation in self._register.live()}
-        idle = [cell for cell in self._cells.values() if cell.id not in engaged and self._is_idle(cell, away_s)]
+        idle = [cell for cell in self._cells.values() if cell.id not in engaged and self._is_idle(cell, unseen)]
         idle.sort(key=lambda cell: cell.absent_since_s or 0.0)
         for cell in idle[: max(0, len(self._cells) - MOST_CELLS + 1)]:
             del self._cells[cell.id]
 
-    def _is_idle(self, cell: Cell, away_s: float) -> bool:
-        """Say whether all that is known of a cell stands in its rows: it is away, has nothing, and owes nothing."""
+    def _is_idle(self, cell: Cell, unseen: bool) -> bool:
+        """Say whether all that is known of a cell stands in its rows: it is away, has nothing, and owes nothing.
+
+        `unseen`: nobody has to wait for it who has not come since the start.
+        """
         if cell.attachment is not None or cell.absent_since_s is None or cell.expected:
             return False
         stopped = cell.latched or cell.itself or cell.unheard is not None or cell.latch_unkept or cell.resetting
         engaged = cell.claim or cell.control or cell.owed or cell.profile != self.default_profile
         waits = cell.came or cell.arriving.locked() or cell.recording.locked() or cell.profiling.locked()
-        return not (stopped or engaged or waits) and monotonic_s() - cell.absent_since_s >= away_s
+        missed = (unseen and cell.recalled) or monotonic_s() - cell.absent_since_s >= FORGOTTEN_S
+        return missed and not (stopped or engaged or waits)
 
     # -- what the record keeps ---------------------------------------------------------------------------------------
 
@@ -170,7 +175,7 @@ class Roster:
                 cell.claim = invocation.id if invocation.status in SESSION else cell.claim
         await self._believe_the_log({row["name"]: row for row in settings})
         if len(self._cells) > MOST_CELLS:
-            self._forget(0.0)
+            self._forget(unseen=True)
 
     def _recalled(self, cell_id: str) -> Cell:
         """Return a cell of an earlier run, which is away."""

@@ -685,6 +685,24 @@ async def test_only_so_many_cells_are_known_and_one_that_left_nothing_makes_room
         assert len(runtime.fleet.cells()) <= 3
 
 
+async def test_cells_that_were_there_come_back_after_a_restart_however_many_came_and_went(
+    house: House, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(roster_module, "MOST_CELLS", 3)
+    async with house.open() as runtime:
+        for name in ("workcell-1", "workcell-2"):
+            await HandCell(runtime, id=name).dial()
+        for number in range(3):
+            await (await HandCell(runtime, id=f"trial-{number}").dial()).hang_up()
+            runtime.fleet.cell(f"trial-{number}").absent_since_s = float("-inf")
+    async with house.open() as runtime:
+        for name in ("workcell-1", "workcell-2"):
+            await HandCell(runtime, id=name).dial()
+        assert {"workcell-1", "workcell-2"} < {cell.id for cell in runtime.fleet.cells()}
+        new = await HandCell(runtime, id="trial-3").dial()
+        await until(lambda: new.closed is not None)
+
+
 async def test_a_cell_is_not_forgotten_while_it_is_put_under_another_profile(
     runtime: Runtime, cell: HandCell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
