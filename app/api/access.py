@@ -7,6 +7,7 @@ door. What a role may see within a route (an agent only its own invocations) is 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from inspect import signature
 from typing import TYPE_CHECKING, Any, cast
 from urllib.parse import parse_qsl
@@ -16,7 +17,7 @@ from starlette.requests import HTTPConnection, Request
 
 from app.api.parts import parts_of
 from app.api.problems import Problem
-from app.api.staying import STILL_KNOWN_S
+from app.api.staying import GONE, STILL_KNOWN_S
 from app.clock import monotonic_s
 from app.governance.model import Role
 
@@ -159,6 +160,16 @@ def caller(connection: HTTPConnection) -> Principal:
     if monotonic_s() - since_s >= STILL_KNOWN_S:
         authorize(connection, parts_of(connection).principals, allowed)
     return cast("Principal", connection.scope[_CALLER][0])
+
+
+def speaker(request: Request) -> Principal:
+    """Return who was let through to say what lets something move: their word counts while they wait for its answer.
+
+    Raises:
+        Problem: as `caller`.
+    """
+    gone = request.scope.get(GONE)
+    return replace(caller(request), waits=lambda: gone is None or not gone())
 
 
 class GuardedRoute(APIRoute):

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import logging
 import resource
+import select
 from typing import TYPE_CHECKING, ClassVar, Final, cast
 
 from uvicorn.protocols.http.httptools_impl import STATUS_LINE, HttpToolsProtocol
@@ -24,7 +25,7 @@ from websockets.http11 import MAX_LINE_LENGTH, MAX_NUM_HEADERS
 
 from app.api.frame import SECURITY_HEADERS
 from app.api.problems import Problem
-from app.api.staying import CUT
+from app.api.staying import CUT, GONE
 
 if TYPE_CHECKING:
     import asyncio
@@ -101,7 +102,20 @@ class Exchanges(HttpToolsProtocol):
         self._unread = 0
         self._owed = HEAD
         super().on_message_begin()
-        cast("dict[str, object]", self.scope)[CUT] = self.transport.abort
+        scope = cast("dict[str, object]", self.scope)
+        scope[CUT], scope[GONE] = self.transport.abort, self.gone
+
+    def gone(self) -> bool:
+        """Say whether the peer has ended the connection, or its own side of it.
+
+        A request and the end of its connection may have waited in the socket together. The end is read in the event
+        loop's next round, which comes too late for what is decided in this one, so the system is asked.
+        """
+        if self.transport.is_closing():
+            return True
+        asked = select.poll()
+        asked.register(self.transport.get_extra_info("socket").fileno(), select.POLLRDHUP)
+        return bool(asked.poll(0))
 
     def on_body(self, body: bytes) -> None:
         """Take a part of the body; how much of it is read is a route's matter."""

@@ -10,7 +10,7 @@ from starlette.requests import Request
 from starlette.responses import Response
 
 from app.api import documents
-from app.api.access import caller
+from app.api.access import caller, speaker
 from app.api.listing import Filter, Identifier, PageQuery
 from app.api.openapi import Answers, answer, declare
 from app.api.parts import parts_of
@@ -58,7 +58,7 @@ async def give(request: Request) -> Response:
     """
     body = await read_body(request, GrantBody)
     wanted = GrantRequest(scope=GrantScope(body.scope), **body.model_dump(exclude={"scope"}))
-    return answer(await parts_of(request).desk.grants.give(caller(request), wanted), 201)
+    return answer(await parts_of(request).desk.grants.give(speaker(request), wanted), 201)
 
 
 async def revoke(request: Request, id: Identifier) -> Response:
@@ -95,7 +95,14 @@ def register(router: APIRouter) -> None:
         Answers(
             model=documents.GrantDocument,
             status=201,
-            codes=("params_invalid", "own_proposal", "grant_refused", "profile_changed", "record_unavailable"),
+            codes=(
+                "params_invalid",
+                "own_proposal",
+                "grant_refused",
+                "profile_changed",
+                "given_up",
+                "record_unavailable",
+            ),
         ),
         body=GrantBody,
     )

@@ -14,7 +14,7 @@ from starlette.requests import Request
 from starlette.responses import Response
 
 from app.api import documents
-from app.api.access import caller
+from app.api.access import caller, speaker
 from app.api.listing import Identifier, PageQuery, within_the_log
 from app.api.openapi import Answers, answer, declare
 from app.api.parts import parts_of
@@ -84,7 +84,7 @@ async def resolve(request: Request, id: Identifier) -> Response:
     offer = None if offered is None else Offer(scope=GrantScope(offered.scope), **offered.model_dump(exclude={"scope"}))
     document = await parts_of(request).desk.resolve(
         id,
-        caller(request),
+        speaker(request),
         body.decision,
         body.digest,
         params=body.params,
@@ -115,14 +115,14 @@ async def resume(request: Request, id: Identifier) -> Response:
     """Let a paused invocation go on; with `after`, only if nobody has said another word since that event."""
     body = await read_optional(request, LoosenBody)
     within_the_log(request, "after", body.after)
-    return answer(await parts_of(request).governor.resume(id, caller(request), body.after))
+    return answer(await parts_of(request).governor.resume(id, speaker(request), body.after))
 
 
 async def rollback(request: Request, id: Identifier) -> Response:
     """Have an invocation undone, along the path it came; `after` as in `resume`."""
     body = await read_optional(request, LoosenBody)
     within_the_log(request, "after", body.after)
-    return answer(await parts_of(request).governor.rollback(id, caller(request), body.after))
+    return answer(await parts_of(request).governor.rollback(id, speaker(request), body.after))
 
 
 async def estop(request: Request, id: Identifier) -> Response:
@@ -140,7 +140,7 @@ async def reset(request: Request, id: Identifier) -> Response:
     came in between. An empty body does both at once, for scripts that have made sure by other means.
     """
     body = await read_optional(request, ResetBody)
-    governor, who = parts_of(request).governor, caller(request)
+    governor, who = parts_of(request).governor, speaker(request)
     match body:
         case ResetBody(step="arm", code=None):
             return answer(governor.arm_reset(id, who))
@@ -160,14 +160,14 @@ async def takeover(request: Request, id: Identifier) -> Response:
     """
     body = await read_optional(request, TakeBody)
     within_the_log(request, "after", body.after)
-    return answer(await parts_of(request).governor.take_over(id, caller(request), body.after))
+    return answer(await parts_of(request).governor.take_over(id, speaker(request), body.after))
 
 
 async def take_cell(request: Request, id: Identifier) -> Response:
     """Take the controls of an idle cell, as an invocation of its own; `after` as in the takeover of a session."""
     body = await read_optional(request, TakeBody)
     within_the_log(request, "after", body.after)
-    return answer(await parts_of(request).governor.take_cell(id, caller(request), body.after))
+    return answer(await parts_of(request).governor.take_cell(id, speaker(request), body.after))
 
 
 async def release(request: Request, id: Identifier) -> Response:
@@ -180,7 +180,7 @@ async def release(request: Request, id: Identifier) -> Response:
     if body.then != "end":  # which counts whatever else is said
         within_the_log(request, "after", body.after)
     said = body.model_dump(include={"lease", "after", "digest"})
-    return answer(await parts_of(request).governor.release(id, caller(request), body.then, **said))
+    return answer(await parts_of(request).governor.release(id, speaker(request), body.then, **said))
 
 
 async def set_profile(request: Request, id: Identifier) -> Response:
@@ -191,7 +191,7 @@ async def set_profile(request: Request, id: Identifier) -> Response:
     `before`, only if that is the one the cell is under.
     """
     body = await read_body(request, ProfileBody)
-    return answer(await parts_of(request).governor.set_profile(id, body.profile, caller(request), body.before))
+    return answer(await parts_of(request).governor.set_profile(id, body.profile, speaker(request), body.before))
 
 
 async def cells(request: Request) -> Response:
@@ -221,6 +221,7 @@ def _questions(router: APIRouter) -> None:
         "params_invalid",
         "already_approved",
         "digest_mismatch",
+        "given_up",
     )
     refused = ("edit_refused", "grant_refused", "resume_refused", "ending", "policy_changed", "profile_changed")
     declare(
@@ -253,7 +254,7 @@ def _questions(router: APIRouter) -> None:
 
 def _sessions(router: APIRouter) -> None:
     interrupt = (*SESSION_CODES, "interrupt_not_enabled", "ending", "estop_latched")
-    loosening = (*interrupt, "overtaken", "cell_offline", "record_unavailable")
+    loosening = (*interrupt, "overtaken", "given_up", "cell_offline", "record_unavailable")
     for word, endpoint, body, codes in (
         ("pause", pause, None, interrupt),
         ("stop", stop, None, (*SESSION_CODES, "record_unavailable")),
@@ -266,9 +267,9 @@ def _sessions(router: APIRouter) -> None:
 
 def _controls(router: APIRouter) -> None:
     present = ("control_held", "ending", "cell_offline", "estop_latched")
-    taking = (*present, "takeover_not_enabled", "takeover_refused", "overtaken")
+    taking = (*present, "takeover_not_enabled", "takeover_refused", "overtaken", "given_up")
     refused = ("nothing_to_resume", "resume_refused", "facts_stale", "paused")
-    returning = (*present, "not_taken_over", "overtaken", *refused)
+    returning = (*present, "not_taken_over", "overtaken", "given_up", *refused)
     declare(
         router,
         "POST /v1/invocations/{id}/takeover",
@@ -294,7 +295,7 @@ def _controls(router: APIRouter) -> None:
 
 def _cells(router: APIRouter) -> None:
     cell = documents.CellDocument
-    resetting = ("not_latched", "cell_offline", "not_armed")
+    resetting = ("not_latched", "cell_offline", "not_armed", "given_up")
     declare(router, "GET /v1/cells", cells, Answers(model=documents.CellList))
     declare(router, "POST /v1/cells/{id}/estop", estop, Answers(model=cell, codes=CELL_CODES))
     declare(
@@ -308,6 +309,6 @@ def _cells(router: APIRouter) -> None:
         router,
         "PUT /v1/cells/{id}/profile",
         set_profile,
-        Answers(model=cell, codes=(*CELL_CODES, "profile_unknown", "profile_changed")),
+        Answers(model=cell, codes=(*CELL_CODES, "profile_unknown", "profile_changed", "given_up")),
         body=ProfileBody,
     )

@@ -13,7 +13,7 @@ from starlette.responses import Response
 
 from app.api import documents
 from app.api import policy_documents as models
-from app.api.access import caller
+from app.api.access import caller, speaker
 from app.api.frame import Json, best_form
 from app.api.listing import PageQuery
 from app.api.openapi import Answers, answer, declare
@@ -100,7 +100,7 @@ async def activate(request: Request, digest: Digest) -> Response:
     hold and ask a human; what waits for approval is decided again, and older answers to it are refused.
     """
     body = await read_body(request, models.ActivationBody)
-    document, entered = await parts_of(request).versions.activate(digest, caller(request), body.why, body.before)
+    document, entered = await parts_of(request).versions.activate(digest, speaker(request), body.why, body.before)
     return answer(document, 200 if entered else 202)
 
 
@@ -189,6 +189,7 @@ def register(router: APIRouter) -> None:
                 "policy_active",
                 "second_engineer_needed",
                 "policy_changed",
+                "given_up",
                 "policy_invalid",
                 "examination_failed",
                 "record_unavailable",

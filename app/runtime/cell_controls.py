@@ -18,6 +18,7 @@ from app.protocol import Estop, SetProfile
 from app.runtime.cells import Arming
 from app.runtime.drafts import SERVER, cell_word
 from app.runtime.errors import Conflict, NotFound
+from app.runtime.overtaken import check_waiting
 from app.runtime.uncut import uncut
 
 if TYPE_CHECKING:
@@ -80,10 +81,12 @@ class CellControls:
         Raises:
             NotFound: no such cell.
             Conflict: `not_latched`, `cell_offline`; `not_armed`, the code is not the one that was given to this person
-                since the last stop, or its time is over: whoever had armed the reset has to arm it anew.
+                since the last stop, or its time is over: whoever had armed the reset has to arm it anew; `given_up`,
+                they wait for the answer no more.
             RecordUnavailable: nothing was recorded, it stays latched.
         """
         cell = self._resettable(cell_id)
+        check_waiting(principal)
         seen, decided = _seen(cell, principal, code), cell.moment
         self.desk.grants.drop(cell.id, "estop", principal.name)  # none outlives a stop that the cell latched by itself
         cell.resetting += 1
@@ -143,7 +146,8 @@ class CellControls:
 
         Raises:
             NotFound: no such cell, no such profile.
-            Conflict: `profile_changed`, it is under another one than `before`.
+            Conflict: `profile_changed`, it is under another one than `before`; `given_up`, they wait for the answer no
+                more.
             RecordUnavailable: nothing was recorded, the profile stays.
         """
         cell = self.fleet.cell(cell_id)
@@ -153,6 +157,7 @@ class CellControls:
             if before not in {None, cell.profile}:
                 message = f"`{cell.id}` is under `{cell.profile}`, not `{before}` any more; valid: compare with that"
                 raise Conflict("profile_changed", message)
+            check_waiting(principal)
             await self._put_under(cell, profile, principal)
         await self.desk.decide_again()  # what was asked was shown under the former profile
         return self.fleet.document(cell)

@@ -26,6 +26,7 @@ CONFLICTS: Final[Mapping[str, int]] = {
     "wrong_status": 409,
     "ending": 409,
     "overtaken": 409,
+    "given_up": 409,
     "rollback_ordered": 409,
     "already_resolved": 409,
     "already_approved": 409,

@@ -20,6 +20,7 @@ from app.governance.model import EventKind, Grant, GrantScope, Reason
 from app.runtime.drafts import SERVER, grant_event
 from app.runtime.errors import Conflict, Forbidden, InvalidParams, NotFound
 from app.runtime.grant import ACTIVE, LEAST_MINUTES, GrantEnded, Standing, read_standing
+from app.runtime.overtaken import check_waiting
 from app.runtime.uncut import uncut
 
 if TYPE_CHECKING:
@@ -96,7 +97,13 @@ class Grants:
 
     @uncut
     async def give(self, principal: Principal, request: GrantRequest) -> dict[str, Any]:
-        """Grant something in advance; errors as `build`, and `RecordUnavailable`: then nothing is granted."""
+        """Grant something in advance; errors as `build`.
+
+        Raises:
+            Conflict: `given_up`, they wait for the answer no more.
+            RecordUnavailable: nothing is granted.
+        """
+        check_waiting(principal)
         standing = self.build(principal, request)
         await self._register.append([grant_event("given", principal.name, standing)], [standing.row()])
         return self._hold(standing).public()

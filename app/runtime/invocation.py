@@ -16,7 +16,7 @@ from app.clock import parse_rfc3339, rfc3339
 from app.governance.model import TERMINAL, Mode, Outcome, Proposal, Role, Status, Strategy
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Callable, Mapping
 
     from app.governance.model import CoveredRecovery, Params, Reason
 
@@ -32,6 +32,7 @@ class Principal:
     name: str
     role: Role
     station: str | None = None  # the cell this person stands at
+    waits: Callable[[], bool] = field(default=lambda: True, compare=False, repr=False)  # for the answer, still
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

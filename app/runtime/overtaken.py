@@ -1,4 +1,7 @@
-"""Whether a word on which something moves, or that ends a pause, was overtaken by other people's, or by a pause."""
+"""Whether a word on which something moves, or that ends a pause, comes too late.
+
+Other people's, or a pause, may have overtaken it, or whoever said it has given up.
+"""
 
 from __future__ import annotations
 
@@ -15,6 +18,19 @@ if TYPE_CHECKING:
     from app.runtime.cells import Cell
     from app.runtime.invocation import Principal
     from app.runtime.register import Register
+
+
+def check_waiting(principal: Principal) -> None:
+    """Refuse a word on which something moves of somebody who waits for its answer no more.
+
+    A server that stood still finds it in a socket beside what they, or others, have said instead since.
+
+    Raises:
+        Conflict: `given_up`.
+    """
+    if not principal.waits():
+        message = f"`{principal.name}` has given up waiting for the answer: nothing came of it; valid: say it anew"
+        raise Conflict("given_up", message)
 
 
 async def check_newest(register: Register, cell: Cell, invocation: str, principal: Principal, after: int) -> None:

@@ -33,6 +33,7 @@ from app.runtime.escalation import (
     stated,
 )
 from app.runtime.grants import Grants
+from app.runtime.overtaken import check_waiting
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Coroutine, Generator, Mapping, Sequence
@@ -165,8 +166,10 @@ class Questions:
         """Refuse a word on which something moves, and which had to wait, of somebody who may say it no more by now.
 
         Raises:
+            Conflict: `given_up`, nor do they wait for its answer.
             Forbidden: `role_forbidden`.
         """
+        check_waiting(principal)
         if not self.grants.may_give(principal.name):
             raise Forbidden.withdrawn(principal.name)
 

@@ -31,6 +31,7 @@ from app.governance.model import EventKind
 from app.runtime.drafts import SERVER
 from app.runtime.errors import Conflict, ExaminationFailed, Forbidden, NotFound
 from app.runtime.examining import Candidate
+from app.runtime.overtaken import check_waiting
 from app.runtime.proving import Proving
 from app.runtime.recollection import events_of
 from app.runtime.uncut import uncut
@@ -253,7 +254,8 @@ class Versions:
         Raises:
             NotFound: there is no such version; one with faults is never kept.
             Conflict: `policy_active`, it is in force; `policy_changed`, another one than `before` is;
-                `second_engineer_needed`, it takes another person than those who want it already.
+                `second_engineer_needed`, it takes another person than those who want it already; `given_up`, they wait
+                for the answer no more.
             Forbidden: `role_forbidden`, they are no engineer any more.
             PolicyErrors: a capability changed, and its version does not say so.
             PolicyErrors: it was never proved, because a start brought it, and does not pass its proofs.
@@ -272,6 +274,7 @@ class Versions:
             if not version.activations:  # what was in force before may come back
                 _demand_versions(active, candidate)
             version, found = await self._sound(version, candidate, active, principal.name)
+            check_waiting(principal)
             if not self.may_vouch(principal.name):  # by now: others' changes come first, and proofs take minutes
                 raise Forbidden.withdrawn(principal.name)
             words = await vouching(self._register.store, digest) if found.loosens else Vouching()

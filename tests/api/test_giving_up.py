@@ -1,0 +1,116 @@
+"""Words whose speakers have gone by the time they are taken: what lets something move counts for nothing then."""
+
+from __future__ import annotations
+
+import asyncio
+import socket
+import struct
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+from urllib.parse import urlsplit
+
+import httpx
+import orjson
+import pytest
+
+from tests.api.conftest import CELL, House, eventually, open_house
+from tests.api.test_grants import GRANT
+from tests.api.test_operators import DRIVE, ask
+from tests.api.test_policies import SLOWER
+
+pytestmark = pytest.mark.anyio
+
+MAY_BE_TAKEN_S = 0.3
+
+
+def goes(sender: socket.socket) -> None:
+    sender.close()
+
+
+def breaks_off(sender: socket.socket) -> None:
+    sender.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+    sender.close()
+
+
+def half_closes(sender: socket.socket) -> None:
+    sender.shutdown(socket.SHUT_WR)
+
+
+def said(house: House, key: str, method: str, path: str, body: Any = None) -> socket.socket:
+    """Say something, while the server cannot run, as if it stood still."""
+    address, raw = urlsplit(house.url), orjson.dumps({} if body is None else body)
+    sender = socket.create_connection((address.hostname, address.port))
+    head = f"{method} {path} HTTP/1.1\r\nHost: x\r\nAuthorization: Bearer {house.token(key)}\r\n"
+    sender.sendall(f"{head}Content-Type: application/json\r\nContent-Length: {len(raw)}\r\n\r\n".encode() + raw)
+    return sender
+
+
+@pytest.mark.parametrize("ends", [goes, breaks_off, half_closes])
+async def test_a_denial_counts_where_an_approval_was_given_up_before(
+    shared_house: House, ends: Callable[[socket.socket], None]
+) -> None:
+    async with shared_house.cell() as cell, shared_house.client("auditor") as auditor:
+        question = await ask(shared_house)
+        place = f"/v1/escalations/{question['id']}/resolve"
+        with (
+            said(shared_house, "operator", "POST", place, {"decision": "approve", "digest": question["digest"]}) as one,
+            said(shared_house, "operator_2", "POST", place, {"decision": "deny", "digest": question["digest"]}) as two,
+        ):
+            ends(one)
+            goes(two)  # what restrains counts all the same
+            await eventually(lambda: shared_house.runtime.register.newest(question["invocation"]) is None)
+        trace = (await auditor.get(f"/v1/invocations/{question['invocation']}/trace")).json()["items"]
+        words = [(event["actor"], event["body"]["decision"]) for event in trace if event["kind"] == "approval"]
+        assert words == [("operator_2", "deny")]
+        assert not cell.launches
+
+
+async def counts_only_of_who_waits(
+    house: House, operator: httpx.AsyncClient, method: str, path: str, body: Any = None, key: str = "operator"
+) -> None:
+    await asyncio.sleep(MAY_BE_TAKEN_S)  # what was said before is recorded
+    before = house.runtime.store.size
+    goes(said(house, key, method, path, body))
+    await asyncio.sleep(MAY_BE_TAKEN_S)
+    assert house.runtime.store.size == before
+    answer = await operator.request(method, path, json=body)
+    assert answer.is_success, answer.text
+
+
+async def test_what_lets_a_session_move_counts_only_of_who_waits(house: House) -> None:
+    async with house.cell() as cell, house.client() as agent, house.client("operator") as operator:
+        document = (await agent.post("/v1/invocations", json=DRIVE)).json()
+        place = f"/v1/invocations/{document['id']}"
+
+        def status() -> str | None:
+            known = house.runtime.register.newest(document["id"])
+            return known and known.status
+
+        goes(said(house, "operator", "POST", f"{place}/pause"))
+        await eventually(lambda: status() == "paused")
+        await counts_only_of_who_waits(house, operator, "POST", f"{place}/resume")
+        await eventually(lambda: status() == "running")
+        goes(said(house, "operator", "POST", f"{place}/stop"))
+        await eventually(lambda: status() is None)
+        assert cell.words == ["pause", "resume", "stop"]
+
+
+async def test_what_loosens_for_later_counts_only_of_who_waits(tmp_path: Path) -> None:
+    async with (
+        open_house(tmp_path, "human-shared") as house,
+        house.cell() as cell,
+        house.client("operator") as operator,
+        house.client("engineer") as engineer,
+    ):
+        await counts_only_of_who_waits(house, operator, "POST", "/v1/grants", GRANT)
+        brought = await engineer.post("/v1/policies", json={"files": SLOWER, "why": "because"})
+        place, why = f"/v1/policies/{brought.json()['digest']}/activate", {"why": "it is time"}
+        await counts_only_of_who_waits(house, engineer, "POST", place, why, key="engineer")
+        goes(said(house, "auditor", "POST", f"/v1/cells/{CELL}/estop"))
+        await eventually(lambda: cell.latched)
+        await counts_only_of_who_waits(house, operator, "POST", f"/v1/cells/{CELL}/reset")
+        await eventually(lambda: not cell.latched)
+        profile = {"profile": "real-restricted"}
+        await counts_only_of_who_waits(house, operator, "PUT", f"/v1/cells/{CELL}/profile", profile)
+        await counts_only_of_who_waits(house, operator, "POST", f"/v1/cells/{CELL}/takeover")
