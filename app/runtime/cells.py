@@ -167,7 +167,7 @@ class Cell:
     control: Control | None = None  # who drives it by hand
     control_at: str = ""  # since when, by the wall clock
     hands: Hands | None = None  # how, where it is a session that was taken over; as it was the last time
-    unrecorded: str = ""  # the lease by which it is being taken from somebody: it moves nothing yet
+    unrecorded: Control | None = None  # as it is being taken from somebody: it moves nothing yet
     arming: Arming | None = None  # the first of the two steps out of a latched stop
     resetting: int = 0  # resets that are being recorded, or wait for another one
     profiling: asyncio.Lock = field(default_factory=asyncio.Lock)  # and is put under one profile at a time
@@ -344,6 +344,13 @@ class Cell:
     def expected(self) -> bool:
         """Say whether the cell is on its way, and will say itself what became of its session."""
         return monotonic_s() < self.expected_until_s
+
+    def is_passing(self) -> bool:
+        """Say whether who drives it takes it from another, which is not recorded yet, by whichever of their leases."""
+        control, taken = self.control, self.unrecorded
+        if control is None or taken is None:
+            return False
+        return (control.holder, control.since_s) == (taken.holder, taken.since_s)
 
     def control_document(self) -> dict[str, Any] | None:
         """Return who drives the cell by hand as JSON, and why their last command was not done; None if nobody."""

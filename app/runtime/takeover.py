@@ -71,23 +71,24 @@ class Takeovers(Handbacks):
         decided = cell.moment
         now = self.register.now()
         cell.control_at = cell.control_at if how is Taking.RENEWED else now
-        document, mine = cell.control_document() or {}, cell.takings
+        document, mine, control = cell.control_document() or {}, cell.takings, cell.control
         try:
             if how is Taking.GRANTED:
                 await self._change_hands(cell, present.id, principal, decided, document, after)
             else:
                 if how is Taking.PREEMPTED:
                     self._still(cell)
-                    cell.unrecorded = document["lease"]
+                    cell.unrecorded = control
                 await self._pass_on(cell, present, principal, document, how)
         except BaseException:
             whole = how is Taking.GRANTED and cell.takings == mine  # with it goes what was renewed of it
+            whole |= cell.unrecorded is control and cell.is_passing()
             if cell.control is not None and (whole or cell.control.lease == document.get("lease")):
                 cell.control = before
             raise
         finally:
-            if cell.unrecorded == document.get("lease"):
-                cell.unrecorded = ""
+            if cell.unrecorded is control:
+                cell.unrecorded = None
         return _theirs(cell, document)
 
     @uncut
@@ -187,7 +188,8 @@ class Takeovers(Handbacks):
             await self.register.append([word])
             return
         async with entry.lock:  # whoever had it before may be about to have it recorded
-            if cell.control is None or cell.control.lease != document["lease"]:
+            renewed = how is Taking.PREEMPTED and cell.is_passing()  # by the same person, who has to have taken them
+            if cell.control is None or (cell.control.lease != document["lease"] and not renewed):
                 raise Conflict("takeover_refused", f"the controls of `{cell.id}` were let go of meanwhile")
             self.desk.ask_again(principal)
             newest = entry.newest
@@ -301,7 +303,7 @@ class Takeovers(Handbacks):
         if principal.role is not Role.OPERATOR or not self.fleet.knows(cell_id):
             return "not_holder"
         cell = self.fleet.cell(cell_id)
-        if cell.control is None or cell.unrecorded == lease:
+        if cell.control is None or cell.is_passing():
             return "not_holder"
         if not all(map(isfinite, (*wish.base, *wish.tool))):
             return "not_finite"

@@ -8,11 +8,12 @@ from typing import Any
 
 import pytest
 
+from app.audit.errors import RecordUnavailable
 from app.clock import monotonic_s
 from app.governance.control import LAPSE_S, Phase
 from app.governance.model import EventKind
 from app.runtime.assembly import Runtime
-from app.runtime.errors import Forbidden
+from app.runtime.errors import Conflict, Forbidden
 
 from .conftest import AGENT, CELL, OPERATOR, OPERATOR_2, HandCell, House, navigate, stating, until
 from .test_races import Gate
@@ -190,6 +191,47 @@ async def test_who_takes_the_controls_from_another_drives_once_that_is_recorded(
     assert jog(runtime, LOCAL, shown, 1) == "not_holder"
     gate.open.set()
     assert jog(runtime, LOCAL, await taking, 2) is None
+
+
+async def test_who_takes_the_controls_from_another_and_says_so_twice_drives_once_that_is_recorded(
+    runtime: Runtime, cell: HandCell, driving: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    await runtime.governor.take_over(driving, OPERATOR)
+    await cell.report("launch", driving, capability="takeover")
+    gate = Gate(runtime, monkeypatch)
+    first = asyncio.create_task(runtime.governor.take_over(driving, LOCAL))
+    await gate.reached.wait()
+    shown = runtime.governor.cells()[0]["control"]
+    again = asyncio.create_task(runtime.governor.take_over(driving, LOCAL))
+    await until(lambda: runtime.governor.cells()[0]["control"]["lease"] != shown["lease"])
+    assert jog(runtime, LOCAL, runtime.governor.cells()[0]["control"], 1) == "not_holder"
+    gate.open.set()
+    assert (await refused(first)).code == "takeover_refused"
+    assert jog(runtime, LOCAL, await again, 2) is None
+    told = await runtime.store.events(invocation=driving, kind=EventKind.HUMAN)
+    said = [(event.actor, how) for event in told if (how := event.payload().get("how"))]
+    assert said == [("olivia", "granted"), (LOCAL.name, "preempted"), (LOCAL.name, "renewed")]
+
+
+async def test_who_takes_the_controls_from_another_twice_has_nothing_where_neither_is_recorded(
+    runtime: Runtime, cell: HandCell, driving: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    lease = await runtime.governor.take_over(driving, OPERATOR)
+    await cell.report("launch", driving, capability="takeover")
+    reached, go_on = asyncio.Event(), asyncio.Event()
+
+    async def full(*_: Any, **__: Any) -> None:
+        reached.set()
+        await go_on.wait()
+        raise RecordUnavailable("the disk is full")
+
+    monkeypatch.setattr(runtime.register, "append", full)
+    taking = [asyncio.create_task(runtime.governor.take_over(driving, LOCAL)) for _ in range(2)]
+    await reached.wait()
+    go_on.set()
+    await asyncio.wait(taking)
+    assert [type(one.exception()) for one in taking] == [RecordUnavailable, Conflict]
+    assert jog(runtime, OPERATOR, lease, 1) is None
 
 
 async def test_a_hand_that_falls_silent_is_let_go_of_while_another_is_being_recorded(
