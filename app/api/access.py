@@ -6,6 +6,7 @@ door. What a role may see within a route (an agent only its own invocations) is 
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import replace
 from inspect import signature
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
     from starlette.types import Receive, Scope, Send
 
     from app.api.auth import Principals
+    from app.runtime.broadcast import Broadcast
     from app.runtime.invocation import Principal
 
 AGENT, OPERATOR, ENGINEER, AUDITOR, CELL = Role.AGENT, Role.OPERATOR, Role.ENGINEER, Role.AUDITOR, Role.CELL
@@ -41,6 +43,7 @@ ANYONE = frozenset(Role)  # with a token
 WEBSOCKET = "WS"
 
 PUBLIC: frozenset[Role] | None = None  # no token asked for
+PATIENCE = b"reins-patience"  # the newest beat that a console has heard, and how many ms from that on it waits
 MOST = 20  # of a query's names that a refusal lists
 
 ACCESS: Mapping[tuple[str, str], frozenset[Role] | None] = {
@@ -168,8 +171,19 @@ def speaker(request: Request) -> Principal:
     Raises:
         Problem: as `caller`.
     """
-    gone = request.scope.get(GONE)
-    return replace(caller(request), waits=lambda: gone is None or not gone())
+    gone, broadcast = request.scope.get(GONE), parts_of(request).broadcast
+    until = [value for name, value in request.scope["headers"] if name == PATIENCE]
+
+    def waits() -> bool:
+        return not (gone is not None and gone()) and all(_goes_on(broadcast, patience) for patience in until)
+
+    return replace(caller(request), waits=waits)
+
+
+def _goes_on(broadcast: Broadcast, patience: bytes) -> bool:
+    """Say whether somebody's patience, so many ms from a beat on, is not over; one that cannot be read is."""
+    said = re.fullmatch(rb"(\d{1,15}) (\d{1,9})", patience)
+    return said is not None and broadcast.since_beat_s(int(said[1])) <= int(said[2]) / 1000.0
 
 
 class GuardedRoute(APIRoute):

@@ -52,6 +52,9 @@ most 256 kB (4 MB for a candidate policy) and 10,000 values: unknown fields, key
 double precision are refused. Lists are `{items, next}`; give `next` back as `cursor` (or `after`, in the log). HEAD
 answers as GET does, without the body.
 
+What lets something move counts while whoever said it waits: with their connection over, or later than `Reins-Patience`
+says (`<beat> <ms>`: so long after that beat of the console's socket), it is refused with 409 `given_up`.
+
 What no operation describes: a path there is not is answered with 404 `not_found`; a method that a path does not know
 with 405 `method_not_allowed`, and `Allow` names those it does; what should open a websocket and cannot, with 400
 `handshake_invalid`.

@@ -15,6 +15,7 @@ import orjson
 import pytest
 
 from tests.api.conftest import CELL, House, eventually, open_house
+from tests.api.test_console import signed_in
 from tests.api.test_grants import GRANT
 from tests.api.test_operators import DRIVE, ask
 from tests.api.test_policies import SLOWER
@@ -64,6 +65,33 @@ async def test_a_denial_counts_where_an_approval_was_given_up_before(
         words = [(event["actor"], event["body"]["decision"]) for event in trace if event["kind"] == "approval"]
         assert words == [("operator_2", "deny")]
         assert not cell.launches
+
+
+async def test_an_approval_that_was_held_back_for_longer_than_its_sender_waits_is_none(shared_house: House) -> None:
+    async with (
+        shared_house.cell() as cell,
+        shared_house.client("operator") as operator,
+        signed_in(shared_house) as screen,
+    ):
+        question = await ask(shared_house)
+        place = f"/v1/escalations/{question['id']}/resolve"
+
+        async def says(decision: str, patience: str) -> tuple[int, str | None]:
+            body = {"decision": decision, "digest": question["digest"]}
+            answer = await operator.post(place, json=body, headers={"Reins-Patience": patience})
+            return answer.status_code, answer.json().get("code")
+
+        beat = (await screen.until_type("beat"))["n"]
+        for over in (f"{beat} 0", f"{beat + 1_000_000} 60000", f"-{beat} 60000", "for long", ""):
+            assert await says("approve", over) == (409, "given_up"), over
+        assert (await says("deny", f"{beat} 0"))[0] == 200  # what restrains counts, however late it comes
+        assert not cell.launches
+        question = await ask(shared_house)
+        place = f"/v1/escalations/{question['id']}/resolve"
+        assert (await says("approve", f"{beat} 60000"))[0] == 200
+        await eventually(lambda: cell.launches)
+        await cell.end("succeeded")
+        await eventually(lambda: shared_house.runtime.register.newest(question["invocation"]) is None)
 
 
 async def counts_only_of_who_waits(

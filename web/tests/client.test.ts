@@ -102,6 +102,21 @@ describe('a server that holds its answers back', () => {
     for (const call of [api.restrain('a', 'pause'), api.setProfile('a', 'b', 'c')]) await expect(call).rejects.toThrow(UNTOLD);
   });
 
+  it('is told by its own clock until when an answer is waited for, where it was heard', async () => {
+    const said: (string | null)[] = [];
+    let beat = 0;
+    const fetcher: typeof fetch = (_, how) => {
+      said.push(new Headers(how?.headers).get('Reins-Patience'));
+      return Promise.resolve(new Response('{}'));
+    };
+    const api = new Api('secret', fetcher, () => ({ beat, since_ms: 150.4 }));
+    await api.loosen('inv_1', 'resume', 7);
+    beat = 42;
+    await api.loosen('inv_1', 'resume', 7);
+    await api.activate('sha256:00', 'because', null); // which may take longer than beats are kept
+    expect(said).toEqual([null, '42 10150', null]);
+  });
+
   it('says of which refusal a hand-back is said', async () => {
     const said: unknown[] = [];
     const api = new Api('secret', (_, how) => {

@@ -1,4 +1,5 @@
 import { sentence } from '../format/quoted';
+import type { Age } from '../socket/messages';
 import type {
   Capability,
   Cell,
@@ -97,6 +98,8 @@ export class Api {
   constructor(
     private readonly token: string,
     private readonly fetcher: typeof fetch = (input, init) => fetch(input, init),
+    /** What the server said last, and how long ago: by its own clock it is told until when an answer is waited for. */
+    private readonly heard: () => Age = () => ({ beat: 0, since_ms: 0 }),
   ) {}
 
   get<T>(path: string, until?: AbortSignal): Promise<T> {
@@ -114,10 +117,17 @@ export class Api {
     return long ? this.one.through(asked) : asked();
   }
 
+  /** Where a line holds a request back, no end of its connection tells the server in time that nobody waits any more. */
+  private headers(how: How): Record<string, string> {
+    const bearer = { Authorization: `Bearer ${this.token}` };
+    const { beat, since_ms } = this.heard();
+    if (beat === 0 || how.long === true) return bearer;
+    return { ...bearer, 'Reins-Patience': `${beat} ${Math.round(since_ms + PATIENCE_MS)}` };
+  }
+
   /** A connection is taken until the answer is read to its end. */
   private async send<T>(method: Method, path: string, body: unknown, how: How, read: (response: Response) => Promise<T>): Promise<T> {
-    const headers: Record<string, string> = { Authorization: `Bearer ${this.token}` };
-    if (body !== undefined) headers['Content-Type'] = 'application/json';
+    const headers = { ...(body === undefined ? {} : { 'Content-Type': 'application/json' }), ...this.headers(how) };
     const patience = AbortSignal.timeout(how.long === true ? LONG_PATIENCE_MS : PATIENCE_MS);
     const signal = how.until === undefined ? patience : AbortSignal.any([patience, how.until]);
     let response: Response;

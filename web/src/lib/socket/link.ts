@@ -1,7 +1,7 @@
 import workerUrl from './worker?worker&url';
 import type { Health } from './connection';
 import { readFrame, type PoseFrame } from './frame';
-import type { Down, Jog, Up } from './messages';
+import type { Age, Down, Jog, Up } from './messages';
 import { LATE_MS, Steady } from './watchdog';
 import type { FromWorker, ToWorker } from './worker';
 
@@ -75,7 +75,12 @@ export class Link {
 
   /** Says a hold-to-run command, and of when it is: one that a slow line held back moves nothing. */
   jog(command: Jog): void {
-    this.send({ ...command, beat: this.beat.n, since_ms: performance.now() - this.beat.takenMs });
+    this.send({ ...command, ...this.heard() });
+  }
+
+  /** Of when what is said now is. */
+  heard(): Age {
+    return { beat: this.beat.n, since_ms: performance.now() - this.beat.takenMs };
   }
 
   end(): void {

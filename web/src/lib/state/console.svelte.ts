@@ -115,7 +115,7 @@ export class Console {
   private lapsing: ReturnType<typeof setTimeout> | undefined;
 
   constructor(token: string) {
-    this.api = new Api(token);
+    this.api = new Api(token, undefined, () => this.link.heard());
     this.titles = new Titles(this.api);
     this.revoking = new Revoking(this.api);
     this.reviewing = new Reviewing(this.api, () => this.me?.name ?? null, (review) => this.reviewed(review));
