@@ -48,6 +48,12 @@ BENCH = """
 """
 # A browser whose clock stands as far back as a test says, from the next page on.
 SET_BACK = "const now = Date.now, back = Number(sessionStorage.getItem('back')); Date.now = () => now() - back;"
+# One that is told to block cookies.
+NOTHING_STORED = """
+    for (const name of ['sessionStorage', 'localStorage']) {
+        Object.defineProperty(window, name, { get() { throw new DOMException('denied', 'SecurityError'); } });
+    }
+"""
 AFTER_THE_LAST_PUSH = "window.jogs.slice(window.jogs.findLastIndex((jog) => jog.base.some(Boolean)) + 1)"
 PUSHES = "window.jogs.filter((jog) => jog.base.some(Boolean)).length"
 ZEROS = [0, 0, 0]
@@ -689,6 +695,15 @@ def test_the_controls_outlive_a_reload_and_go_to_another_window_only_when_asked(
     expect(other.page.get_by_text(LET_GO)).to_be_visible()
     at_rest(floor)
     assert server.cell()["control"]["holder"] == "operator"
+
+
+def test_whoever_has_a_browser_that_may_store_nothing_signs_in_and_gets_the_controls(
+    server: ServerProcess, people: People, floor: Floor
+) -> None:
+    person = people.sit(server, init=NOTHING_STORED)
+    take_controls(person)
+    person.button("End session").click()
+    expect(person.region("Drive by hand")).to_contain_text(IDLE)
 
 
 def test_whoever_drives_goes_on_when_the_clock_is_set_back(server: ServerProcess, people: People, floor: Floor) -> None:

@@ -49,6 +49,19 @@ describe('a lease that is remembered across a reload', () => {
     expect(another.lease).toBe(null);
   });
 
+  it('is had as long as the page where nothing may be stored', async () => {
+    const denied = (): never => {
+      throw new DOMException('denied', 'SecurityError');
+    };
+    vi.stubGlobal('sessionStorage', { getItem: denied, setItem: denied, removeItem: denied });
+    const { drive } = await import('../src/lib/state/drive.svelte');
+    drive.took('lease_1');
+    leaving[0]?.();
+    expect(drive.lease).toBe('lease_1');
+    drive.leave();
+    expect(drive.lease).toBe(null);
+  });
+
   it('numbers its commands upwards, whatever the clock does between them and over a reload', async () => {
     vi.useFakeTimers({ toFake: ['Date'] });
     const { drive } = await import('../src/lib/state/drive.svelte');

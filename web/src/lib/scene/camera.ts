@@ -1,5 +1,6 @@
 import { OrbitControls } from 'three/examples/jsm/controls/OrbitControls.js';
 import { MathUtils, PerspectiveCamera, Vector3 } from 'three';
+import { tab } from '../state/tab';
 
 export type View = 'overview' | 'top' | 'follow';
 type Bounds = readonly [number, number, number, number];
@@ -150,7 +151,7 @@ export class CameraRig {
   }
 
   private keep(): void {
-    if (this.lent === null) sessionStorage.setItem(KEY, JSON.stringify(this.stand()));
+    if (this.lent === null) tab.write(KEY, JSON.stringify(this.stand()));
   }
 }
 
@@ -180,7 +181,7 @@ export function fitted(bounds: Bounds, from: Vector3, fovDeg: number, aspect: nu
 
 function read(): Kept | null {
   try {
-    const kept = JSON.parse(sessionStorage.getItem(KEY) ?? 'null') as Kept | null;
+    const kept = JSON.parse(tab.read(KEY) ?? 'null') as Kept | null;
     return kept !== null && [...kept.position, ...kept.target].every(Number.isFinite) ? kept : null;
   } catch {
     return null;

@@ -21,6 +21,7 @@ import { Ends } from './ends.svelte';
 import { Lapses } from './lapses.svelte';
 import { Pace } from './pace';
 import { Quiet } from './quiet';
+import { tab } from './tab';
 
 export interface SceneInfo {
   scene: Scene;
@@ -57,7 +58,7 @@ export class Console {
   health = $state.raw<Health>(OFF);
   me = $state.raw<{ name: string; role: string; station: string | null } | null>(null);
   refused = $state<string | null>(null);
-  selected = $state<string | null>(sessionStorage.getItem('reins.cell'));
+  selected = $state<string | null>(tab.read('reins.cell'));
   /** The question that is open on the page, of whatever cell. */
   asked = $state<string | null>(null);
   /** What the cells that are watched look like: the one that is looked at, and that of an open trace. */
@@ -200,7 +201,7 @@ export class Console {
     if (cell !== this.selected) this.jogRefused = null; // the cell itself says what still stands
     this.selected = cell;
     this.toldMs = -Infinity;
-    sessionStorage.setItem('reins.cell', cell);
+    tab.write('reins.cell', cell);
     this.watch();
   }
 
@@ -333,7 +334,7 @@ export class Console {
     const dueMs = this.violations.dueInMs(nowMs);
     if (dueMs !== null) this.lapsing = setTimeout(() => this.pace.ask(), dueMs);
     this.stay();
-    this.watchFirst();
+    if (this.cell !== null) this.watch();
   }
 
   /** Whoever has chosen no cell, or one that there is not, stays with the one that they see: one that attaches later takes no stop away from it. */
@@ -357,10 +358,6 @@ export class Console {
       case 'jogged':
         if (cell === this.cell?.id) this.jogRefused = message.refused;
     }
-  }
-
-  private watchFirst(): void {
-    if (this.cell !== null) this.watch();
   }
 
   private async list(): Promise<void> {

@@ -1,3 +1,5 @@
+import { tab } from './tab';
+
 const KEY = 'reins.lease';
 const KEY_N = 'reins.lease.n';
 /** More than is said between the number that is stored and the end of the page: it lets go of what it held. */
@@ -11,18 +13,18 @@ class Drive {
   lease = $state<string | null>(null);
   private letGo: () => void = () => undefined;
   /** A lease takes no command whose number is not newer, and the clock that a first number comes from may be set back. */
-  private n = Math.max(Date.now(), (Number(sessionStorage.getItem(KEY_N)) || 0) + LAST_WORDS);
+  private n = Math.max(Date.now(), (Number(tab.read(KEY_N)) || 0) + LAST_WORDS);
 
   constructor() {
     addEventListener('pagehide', () => {
-      if (this.lease !== null) sessionStorage.setItem(KEY_N, String(this.n));
+      if (this.lease !== null) tab.write(KEY_N, String(this.n));
     });
-    const kept = sessionStorage.getItem(KEY);
+    const kept = tab.read(KEY);
     if (kept === null) return;
     void this.hold(kept).then((alone) => {
-      if (sessionStorage.getItem(KEY) !== kept) return; // another was taken meanwhile, or whoever had it has left
+      if (tab.read(KEY) !== kept) return; // another was taken meanwhile, or whoever had it has left
       if (alone) this.lease ??= kept;
-      else sessionStorage.removeItem(KEY);
+      else tab.drop(KEY);
     });
   }
 
@@ -36,14 +38,14 @@ class Drive {
   took(lease: string): void {
     this.letGo();
     this.lease = lease;
-    sessionStorage.setItem(KEY, lease);
+    tab.write(KEY, lease);
     void this.hold(lease);
   }
 
   forget(): void {
     this.letGo();
     this.lease = null;
-    sessionStorage.removeItem(KEY);
+    tab.drop(KEY);
   }
 
   /** Says whether this window alone has the lease: one that was duplicated remembers it, too, and has to ask. */

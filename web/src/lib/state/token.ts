@@ -1,4 +1,5 @@
 import { drive } from './drive.svelte';
+import { tab } from './tab';
 
 /** The operator's token: handed over in the fragment of the printed link, kept for this tab alone. */
 const KEY = 'reins.token';
@@ -11,29 +12,29 @@ export function takeToken(): string | null {
     history.replaceState(null, '', `${location.pathname}${location.search}#/live`);
     if (handed !== '') keepToken(handed);
   }
-  return sessionStorage.getItem(KEY);
+  return tab.read(KEY);
 }
 
 /** Whoever signs in with another one has not the controls that were had before. */
 export function keepToken(token: string): void {
-  if (token !== sessionStorage.getItem(KEY)) drive.forget();
-  sessionStorage.setItem(KEY, token);
+  if (token !== tab.read(KEY)) drive.forget();
+  tab.write(KEY, token);
 }
 
 export function dropToken(): void {
-  sessionStorage.removeItem(KEY);
+  tab.drop(KEY);
 }
 
 const LEFT = 'reins.left';
 
 /** Keeps what whoever leaves the page has to know when it is loaded anew: whoever reloads is asked nothing. */
 export function keepLeft(words: string | null): void {
-  if (words === null) sessionStorage.removeItem(LEFT);
-  else sessionStorage.setItem(LEFT, words);
+  if (words === null) tab.drop(LEFT);
+  else tab.write(LEFT, words);
 }
 
 export function takeLeft(): string | null {
-  const words = sessionStorage.getItem(LEFT);
+  const words = tab.read(LEFT);
   keepLeft(null);
   return words;
 }
