@@ -94,6 +94,25 @@ def test_a_link_that_goes_is_told_and_what_came_meanwhile_is_there_when_it_is_ba
             assert floor.settled(asked["id"])["status"] == "denied"
 
 
+def test_whoever_looks_at_a_page_of_another_version_than_the_server_is_told_and_loads_it_anew(
+    server: ServerProcess, people: People, floor: Floor
+) -> None:
+    with wire_to(urlsplit(server.url).port or 0) as wire:
+        person = people.sit(server, at=f"http://127.0.0.1:{wire.port}")
+        person.expects(BROKEN)
+        outdated = person.alert("This page is of another version than the server.")
+        wire.cut()
+        expect(person.alert("Link down.")).to_be_visible()
+        expect(outdated).to_have_count(0)
+        person.page.route("**/", lambda route: route.fulfill(body='<script type="module" src="/assets/index-new.js">'))
+        wire.mend()
+        expect(outdated).to_be_visible()
+        person.page.unroute("**/")
+        person.button("Load the console anew").click()
+        expect(outdated).to_have_count(0)
+        expect(person.page.locator("header dl.facts")).to_contain_text("Idle")
+
+
 def test_who_types_an_edit_while_the_link_goes_types_on_and_stops_nothing(
     server: ServerProcess, people: People, floor: Floor
 ) -> None:

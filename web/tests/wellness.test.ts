@@ -1,5 +1,5 @@
 import { afterEach, beforeEach, describe, expect, it, vi } from 'vitest';
-import { troublesOf, Wellness } from '../src/lib/state/wellness.svelte';
+import { scriptOf, troublesOf, Wellness } from '../src/lib/state/wellness.svelte';
 
 describe('how the server is', () => {
   beforeEach(() => void vi.useFakeTimers());
@@ -39,5 +39,20 @@ describe('how the server is', () => {
     end();
     wellness.watch({ health: () => new Promise(() => undefined) });
     expect([wellness.troubles, health.mock.calls.length]).toEqual([[], 2]);
+  });
+
+  it('is of another version where it hands out another page, and not where it does not answer or a proxy does', async () => {
+    const wellness = new Wellness();
+    const page = (script: string) => () => Promise.resolve(`<head><script type="module" crossorigin src="${script}"></script></head>`);
+    const told = async (served: () => Promise<string>): Promise<boolean> => {
+      await wellness.compare({ page: served }, '/assets/index-1.js');
+      return wellness.outdated;
+    };
+    expect(await told(page('/assets/index-1.js'))).toBe(false);
+    expect(await told(page('/assets/index-2.js'))).toBe(true);
+    expect(await told(() => Promise.reject(new Error('away')))).toBe(true);
+    expect(await told(page('/assets/index-1.js'))).toBe(false);
+    expect(await told(() => Promise.resolve('<form>Sign in</form>'))).toBe(false);
+    expect(scriptOf('<script type="module" src="/src/main.ts"></script>')).toBe('/src/main.ts');
   });
 });

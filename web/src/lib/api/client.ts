@@ -142,6 +142,8 @@ export class Api {
   }
 
   health = (): Promise<{ status: string; broken: Record<string, string | null> }> => this.get('/healthz');
+  /** The page that the console begins with. */
+  page = (): Promise<string> => this.inTurn({}, () => this.send('GET', '/', undefined, {}, (response) => response.text()));
   cells = (): Promise<List<Cell>> => this.get('/v1/cells');
   capabilities = (): Promise<List<Capability>> => this.get('/v1/capabilities');
   policy = (): Promise<PolicySet> => this.get('/v1/policies/active');

@@ -21,9 +21,22 @@ export function troublesOf(broken: Record<string, string | null>): Trouble[] {
     .map(([part, words]) => ({ part, words, why: broken[part] ?? '' }));
 }
 
+/** The script of a page of the console, as the page names it; null where that is none of them, as what a proxy wants one to sign in by. */
+export function scriptOf(page: string): string | null {
+  return /<script type="module"[^>]* src="([^"]+)"/.exec(page)?.[1] ?? null;
+}
+
 /** How the server says it is, asked now and then: no event tells it, least of all where none can be recorded. */
 export class Wellness {
   troubles = $state.raw<Trouble[]>([]);
+  /** Whether the server hands out another console than this page, as after a change of its version. */
+  outdated = $state(false);
+
+  /** Looks whether what the server hands out is the page whose script is `own`; without an answer it is what it was. */
+  async compare(api: Pick<Api, 'page'>, own: string | null): Promise<void> {
+    const served = scriptOf(await api.page().catch(() => ''));
+    if (served !== null) this.outdated = served !== own;
+  }
 
   /** Asks until the returned function is called, which is while the link is up: what was so before it broke off may be over. */
   watch(api: Pick<Api, 'health'>): () => void {
