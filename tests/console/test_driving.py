@@ -407,6 +407,25 @@ def test_a_finger_that_slides_off_its_button_lets_go_and_no_button_lies_over_ano
         assert over == [], f"at {width} px"
 
 
+def test_whoever_lets_go_of_the_first_button_of_a_mouse_stops_and_another_button_drives_nothing(
+    server: ServerProcess, people: People, floor: Floor
+) -> None:
+    person = people.sit(server, init=BENCH)
+    take_controls(person)
+    mouse, began = person.page.mouse, floor.base()
+    person.button("Base back, hold to run").hover()
+    insist(person, mouse.down, mouse.up, lambda: far(floor.base(), began) > 0.05, "a base driven back")
+    mouse.down(button="right")
+    expect(person.page.get_by_text(HELD)).to_be_visible()
+    mouse.up()
+    let_go(person)
+    mouse.up(button="right")
+    pushes = person.page.evaluate(PUSHES)
+    mouse.down(button="right")
+    mouse.up(button="right")
+    assert person.page.evaluate(PUSHES) == pushes
+
+
 def test_the_end_of_a_session_waits_for_no_other_word(server: ServerProcess, people: People, floor: Floor) -> None:
     person = people.sit(server)
     person.expects("409")
