@@ -641,6 +641,28 @@ def test_an_answer_of_policy_is_marked_once_the_cell_is_stopped(
     expect(form).to_contain_text("workcell-1 is not as it was when this was asked. Ask again.")
 
 
+def test_an_answer_of_policy_stays_marked_when_a_session_has_left_the_cell_as_idle_as_it_was(
+    server: ServerProcess, people: People, floor: Floor
+) -> None:
+    person = people.sit(server)
+    person.press("3")
+    form = person.region("What would happen if…")
+    form.get_by_label("Capability").select_option("navigate_to")
+    form.get_by_label("Target").select_option("dock")
+    form.get_by_role("button", name="Ask policy").click()
+    expect(form).to_contain_text("Policy version")
+    marked = form.get_by_text("workcell-1 is not as it was when this was asked. Ask again.")
+    assert server.post(f"/v1/invocations/{floor.drive_off()['id']}/cancel").is_success
+    expect(marked).to_be_visible()
+    until(lambda: server.cell()["busy"] is None, what="a cell that is idle again")
+    form.get_by_label("Mode").select_option("careful")
+    expect(form).to_contain_text("Asked before something above changed.")
+    form.get_by_label("Mode").select_option("normal")
+    expect(marked).to_be_visible()
+    form.get_by_role("button", name="Ask policy").click()
+    expect(form).not_to_contain_text("Ask again")
+
+
 @pytest.mark.parametrize("size", [DESK, PHONE], ids=["desk", "phone"])
 def test_a_list_of_changes_says_that_it_goes_on_until_its_end_is_in_sight(
     server: ServerProcess, people: People, size: dict[str, int]
