@@ -113,6 +113,27 @@ def test_whoever_looks_at_a_page_of_another_version_than_the_server_is_told_and_
         expect(person.page.locator("header dl.facts")).to_contain_text("Idle")
 
 
+def test_a_policy_that_could_not_be_read_anew_is_not_shown_as_the_one_in_force(
+    server: ServerProcess, people: People, floor: Floor
+) -> None:
+    with wire_to(urlsplit(server.url).port or 0) as wire:
+        person = people.sit(server, at=f"http://127.0.0.1:{wire.port}")
+        person.expects(BROKEN)
+        person.press("3")
+        places = (person.region("Matrix"), person.page.locator("header .policy"))
+        for place in places:
+            expect(place).to_be_visible()
+            assert not place.evaluate(GREY)
+        person.page.route("**/policies/active", lambda route: route.abort())
+        wire.cut()
+        expect(person.alert("Link down.")).to_be_visible()
+        wire.mend()
+        expect(person.alert("Link down.")).to_have_count(0)
+        assert all(place.evaluate(GREY) for place in places)
+        person.page.unroute("**/policies/active")
+        until(lambda: not any(place.evaluate(GREY) for place in places), what="a policy that was read anew")
+
+
 def test_who_types_an_edit_while_the_link_goes_types_on_and_stops_nothing(
     server: ServerProcess, people: People, floor: Floor
 ) -> None:

@@ -1,7 +1,7 @@
 import { afterEach, beforeEach, describe, expect, it, vi } from 'vitest';
 import type { Escalation, Invocation } from '../src/lib/api/documents';
 import { Console } from '../src/lib/state/console.svelte';
-import { cell, escalation, invocation, scene } from './samples';
+import { cell, escalation, event, invocation, scene } from './samples';
 
 /** The Worker that holds the socket; the test says what comes from it. */
 class PlayedWorker {
@@ -96,6 +96,21 @@ describe('the policy that limits are drawn from', () => {
     asked[1]?.answer('sha256:new');
     await vi.advanceTimersByTimeAsync(10_000);
     expect([asked.length, page.policy?.version]).toEqual([2, 'sha256:new']);
+  });
+
+  it('is not said to be in force from when another may be until it has come', async () => {
+    welcome();
+    asked[0]?.answer('sha256:old');
+    await vi.advanceTimersByTimeAsync(10);
+    expect(page.policyHolds).toBe(true);
+    PlayedWorker.newest.say({ type: 'update', seq: 2, events: [event('policy_activated', {})] });
+    asked[1]?.fail();
+    await vi.advanceTimersByTimeAsync(1_000);
+    expect([page.policy?.version, page.policyHolds]).toEqual(['sha256:old', false]);
+    await vi.advanceTimersByTimeAsync(1_000);
+    asked[2]?.answer('sha256:new');
+    await vi.advanceTimersByTimeAsync(10);
+    expect([page.policy?.version, page.policyHolds]).toEqual(['sha256:new', true]);
   });
 
   it('is not taken after signing out, nor asked for again', async () => {

@@ -93,6 +93,8 @@ export class Console {
   private listed = $state.raw<string[]>([]);
   private listing = false;
   policy = $state.raw<PolicySet | null>(null);
+  /** Whether that is in force, as far as the server was heard: not before what was asked for anew has come. */
+  policyHolds = $state(false);
   capabilities = $state.raw<Record<string, Capability>>({});
   /** Of when what is shown is, server's wall clock in ms. */
   heardAtMs = $state<number | null>(null);
@@ -379,10 +381,11 @@ export class Console {
   private async fetchPolicy(): Promise<void> {
     clearTimeout(this.policyAgain);
     const turn = (this.policyTurn += 1);
+    this.policyHolds = false;
     try {
       const [policy, capabilities] = await Promise.all([this.api.policy(), this.api.capabilities()]);
       if (turn !== this.policyTurn) return;
-      this.policy = policy;
+      [this.policy, this.policyHolds] = [policy, true];
       this.capabilities = Object.fromEntries(capabilities.items.map((item) => [item.name, item]));
     } catch {
       if (turn !== this.policyTurn) return;
