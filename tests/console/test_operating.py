@@ -353,6 +353,23 @@ def test_what_closes_or_was_sent_gives_the_focus_back_to_where_one_goes_on(
     expect(check).to_be_focused()
 
 
+def test_whoever_signs_in_or_goes_to_another_page_by_keyboard_goes_on_in_the_page(
+    server: ServerProcess, people: People
+) -> None:
+    person = people.open(server.url)
+    token, page = person.page.get_by_label("Token"), person.page.locator("#page")
+    expect(token).to_be_focused()
+    person.page.keyboard.type(server.tokens["operator"])
+    person.press("Enter")
+    expect(page).to_be_focused()
+    for key, name in (("2", "Audit"), ("3", "Policy"), ("4", "Fleet")):
+        person.press("Tab")
+        expect(page).not_to_be_focused()
+        person.press(key)
+        expect(person.page.get_by_role("heading", name=name, level=1)).to_be_attached()
+        expect(page).to_be_focused()
+
+
 def test_a_profile_is_chosen_by_arrow_keys_compared_anew_when_another_changes_it_and_not_called_kept_on_its_way(
     server: ServerProcess, people: People, floor: Floor
 ) -> None:
