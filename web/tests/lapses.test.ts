@@ -26,6 +26,10 @@ describe('questions that lapsed', () => {
     expect(told([], [again[0] as LogEvent], undefined, again)).toEqual(['a']); // a snapshot repeats what is known
   });
 
+  it('are told of a log that was put back as well, from where it goes on', () => {
+    expect(told([recorded(7, 'a', 'pending')], [recorded(3, 'a', 'expired')], [recorded(4, 'b', 'expired')])).toEqual(['b']);
+  });
+
   it('stay until they are put away, whatever else is recorded', () => {
     const lapses = new Lapses();
     lapses.take([]);
