@@ -66,10 +66,11 @@ def list_tokens(*, data: Data = Path("data")) -> None:
     for one in known:
         until = "for good" if one.expires_at_s is None else f"until {rfc3339(one.expires_at_s)}"
         over = ", which is over" if one.expired(wall_s()) else ""
-        station = one.principal.station
+        station, role = one.principal.station, one.principal.role
+        where = "dials in as" if role is Role.CELL else "stands at"
         say(
-            f"{one.principal.name:<{width}}  {one.principal.role.value:<8}  {until}{over}"
-            + (f", stands at {station}" if station else "")
+            f"{one.principal.name:<{width}}  {role.value:<8}  {until}{over}"
+            + (f", {where} {station}" if station else "")
         )
 
 

@@ -103,6 +103,13 @@ def test_a_token_that_is_withdrawn_is_listed_no_more_and_lets_nobody_in(tmp_path
     assert (code, "`night` has no token: valid are `planner`" in said) == (2, True)
 
 
+def test_a_token_of_one_cell_is_listed_with_the_name_it_lets_in(tmp_path: Path) -> None:
+    open_principals(tmp_path)
+    run("token", "issue", "far-away", "--role", "cell", "--station", "workcell-2", "--data", str(tmp_path))
+    said = run("token", "list", "--data", str(tmp_path))[1]
+    assert re.search(r"^far-away +cell +for good, dials in as workcell-2$", said, re.MULTILINE)
+
+
 HINT = "must be a data directory that `reins serve` has made"
 
 
