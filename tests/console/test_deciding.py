@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import re
+import signal
 from typing import Any
 
 import pytest
@@ -27,6 +29,10 @@ pytestmark = [pytest.mark.browser, pytest.mark.process]
 
 def card(person: Person, title: str = "Grasp mug_1") -> Locator:
     return person.page.get_by_role("article", name=title)
+
+
+# A fifth of the patience, for what is given up in a test.
+IMPATIENT = "const timeout = AbortSignal.timeout.bind(AbortSignal); AbortSignal.timeout = (ms) => timeout(ms / 5)"
 
 
 def test_the_printed_link_signs_in_and_its_token_leaves_the_address(server: ServerProcess, people: People) -> None:
@@ -637,3 +643,21 @@ def give(server: ServerProcess, thing: str, minutes: float) -> None:
     body = {"capability": "grasp_object", "agent": "planner", "cell": "workcell-1", "scope": "object"}
     made = server.post("/v1/grants", {**body, "object": thing, "minutes": minutes})
     assert made.is_success, made.text
+
+
+def test_a_denial_counts_after_an_approval_that_the_console_gave_up(
+    server: ServerProcess, people: People, floor: Floor
+) -> None:
+    person = people.sit(server, init=IMPATIENT)
+    person.expects("")
+    asked = floor.ask()
+    expect(person.button(re.compile("^Approve"))).to_be_enabled()
+    os.kill(server.process.pid, signal.SIGSTOP)
+    try:
+        person.button(re.compile("^Approve")).click()
+        expect(person.page.get_by_text("not known whether").first).to_be_visible()
+        person.says_why()
+        person.button(re.compile("^Deny")).click()
+    finally:
+        os.kill(server.process.pid, signal.SIGCONT)
+    assert floor.settled(asked["id"])["outcome"] == "denied"
