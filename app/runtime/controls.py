@@ -165,6 +165,8 @@ class Controls:
         present = self.register.newest(invocation_id) or await self.visible(invocation_id, principal)
         if not may_see(principal, present.agent):
             raise NotFound("invocation", invocation_id)
+        if op == "pause":
+            present = await self._answered(present)
         if present.final or (present.status not in legal and not self._stands(op, present)):
             raise _wrong_status(op, present.status)
         self._allow(op, present)
@@ -195,6 +197,17 @@ class Controls:
         if op == "resume":
             return said == Status.PAUSED and present.status in MOVING
         return op == "rollback" and present.status is Status.RECOVERING and present.terms.undone_by is not None
+
+    async def _answered(self, present: Invocation) -> Invocation:
+        """Return a session that is asked about as it stands once an answer that is being recorded is in.
+
+        Nothing moves until then. A pause that was refused for it now would find the robot going on the moment after.
+        """
+        entry = self.register.entry(present.id)
+        if entry is None or present.status is not Status.ESCALATED or self._stands("pause", present):
+            return present
+        async with entry.lock:
+            return entry.newest
 
     async def _loosen(
         self, op: str, cell: Cell, present: Invocation, principal: Principal, after: int | None

@@ -551,6 +551,32 @@ async def test_a_rollback_that_comes_late_undoes_nothing_that_another_let_go_on(
     assert cell.ops() == ["resolve_continue"]
 
 
+@pytest.mark.parametrize("decision", ["approve", "deny"])
+async def test_a_pause_that_comes_while_an_answer_is_recorded_waits_for_that_and_holds_what_goes_on_by_it(
+    runtime: Runtime, cell: HandCell, monkeypatch: pytest.MonkeyPatch, decision: str
+) -> None:
+    name = await running(runtime, cell)
+    await cell.report("escalation", name, reason="separation_m")
+    await cell.state(status="escalated")
+    question = runtime.desk.pending_for(name)
+    assert question is not None
+    gate = Gate(runtime, monkeypatch)
+    answering = asyncio.create_task(runtime.desk.resolve(question.id, OPERATOR_2, decision, question.digest))
+    await gate.reached.wait()
+    pausing = asyncio.create_task(runtime.governor.pause(name, OPERATOR))
+    await asyncio.wait({pausing}, timeout=0.1)
+    assert not pausing.done()
+    gate.open.set()
+    await answering
+    if decision == "approve":
+        assert (await pausing)["recorded"]
+        await until(lambda: cell.ops() == ["resolve_continue", "pause"])
+    else:
+        with pytest.raises(Conflict) as refused:
+            await pausing
+        assert refused.value.code == "ending"
+
+
 async def test_that_somebody_looks_at_a_question_overtakes_no_word(runtime: Runtime, cell: HandCell) -> None:
     name = await running(runtime, cell)
     await cell.report("escalation", name, reason="separation_m")
