@@ -294,13 +294,21 @@ class Floor:
         return self._propose("running", "grasp_object", {}, object_id="mug_1", speed_mps=0.02)
 
     def _reach(self, object_id: str) -> None:
-        """Have the robot stand where it reaches a thing: a grasp of what is out of reach would be put off for good."""
+        """Have the robot reach a thing: a grasp of what is out of reach would be put off for good."""
         # Where it stands says too little: it reaches what is before it, and whoever drove it may have turned it.
         away = not self.server.facts()["objects"][object_id]["reachable"]
         cell = self.server.cell()
         if away and cell["busy"] is None and not cell["latched"]:
             self.drive(target="bench_a_stand")
             until(lambda: self.server.cell()["busy"] is None, what="a robot that is back at the bench")
+
+    def put_down(self) -> None:
+        """Have the gripper empty: what an earlier test let begin may have been cancelled too late to stop it."""
+        if self.server.facts()["holding"] is None:
+            return
+        placed = self._propose("running", "place_object", {}, surface="bench_a")
+        self.answer(self.server.await_status(placed["id"], "escalated"), "approve")  # that it lets go
+        assert self.server.await_status(placed["id"], "completed")["outcome"] == "succeeded"
 
     def answer(self, asked: dict[str, Any], decision: str) -> None:
         path = f"/v1/escalations/{asked['escalation']['id']}"
@@ -584,6 +592,7 @@ def server(console_ahead: Ahead) -> Iterator[ServerProcess]:
 @pytest.fixture
 def floor(server: ServerProcess) -> Iterator[Floor]:
     made = Floor(server)
+    made.put_down()
     yield made
     made.clear()
 
