@@ -113,6 +113,7 @@ def test_arrows_choose_among_the_verdicts_beside_a_trace_and_step_through_it_els
     person.page.evaluate(f"location.hash = '#/audit/{stopped['id']}'")
     person.page.get_by_text("This session waits for a verdict").click()
     form, moment = person.region("Review").get_by_role("form"), person.region("Replay").get_by_role("slider")
+    expect(person.page.locator(".plot").first).to_be_visible()  # with telemetry comes where the replay begins
     person.button("On to the next event").click()
     stood = moment.input_value()
     form.get_by_role("radio", name=re.compile("Accepted")).focus()
