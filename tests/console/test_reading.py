@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterator
 
 import pytest
-from playwright.sync_api import Route, expect
+from playwright.sync_api import Locator, Route, expect
 
 from tests.conftest import ServerProcess, until
 from tests.console.conftest import (
@@ -621,16 +621,21 @@ def test_what_takes_no_press_can_be_told_where_the_system_chooses_the_colours(
         assert pause.evaluate(read) != resume.evaluate(read)
 
 
-def test_an_answer_of_policy_is_marked_once_the_cell_is_stopped(
-    server: ServerProcess, people: People, floor: Floor
-) -> None:
-    person = people.sit(server)
+def asked_about_a_drive(person: Person) -> Locator:
+    """Ask policy what would happen if the robot were to drive; return the form, with the answer."""
     person.press("3")
     form = person.region("What would happen if…")
     form.get_by_label("Capability").select_option("navigate_to")
     form.get_by_label("Target").select_option("dock")
     form.get_by_role("button", name="Ask policy").click()
     expect(form).to_contain_text("Policy version")
+    return form
+
+
+def test_an_answer_of_policy_is_marked_once_the_cell_is_stopped(
+    server: ServerProcess, people: People, floor: Floor
+) -> None:
+    form = asked_about_a_drive(people.sit(server))
     expect(form).not_to_contain_text("Ask again")
     assert server.post(f"{CELL}/estop").is_success
     expect(form).to_contain_text("workcell-1 is not as it was when this was asked. Ask again.")
@@ -644,13 +649,7 @@ def test_an_answer_of_policy_is_marked_once_the_cell_is_stopped(
 def test_an_answer_of_policy_stays_marked_when_a_session_has_left_the_cell_as_idle_as_it_was(
     server: ServerProcess, people: People, floor: Floor
 ) -> None:
-    person = people.sit(server)
-    person.press("3")
-    form = person.region("What would happen if…")
-    form.get_by_label("Capability").select_option("navigate_to")
-    form.get_by_label("Target").select_option("dock")
-    form.get_by_role("button", name="Ask policy").click()
-    expect(form).to_contain_text("Policy version")
+    form = asked_about_a_drive(people.sit(server))
     marked = form.get_by_text("workcell-1 is not as it was when this was asked. Ask again.")
     assert server.post(f"/v1/invocations/{floor.drive_off()['id']}/cancel").is_success
     expect(marked).to_be_visible()
