@@ -6,6 +6,7 @@ it is sent.
 
 from __future__ import annotations
 
+import asyncio
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final
 
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
     from app.runtime.register import Register
 
 UNNAMED: Final = ""
+LOOK_S: Final = 0.002  # between two looks at a question whose answer is being recorded
 
 MOVING: Final = frozenset({Status.RUNNING, Status.RECOVERING})
 # Which statuses an operator's word is legal in, and whether it restrains.
@@ -201,13 +203,19 @@ class Controls:
     async def _answered(self, present: Invocation) -> Invocation:
         """Return a session that is asked about as it stands once an answer that is being recorded is in.
 
-        Nothing moves until then. A pause that was refused for it now would find the robot going on the moment after.
+        A pause that was refused for it now would find the robot going on the moment after. It waits no longer than
+        that: not for its turn behind reports that are being recorded, while the robot goes on.
         """
         entry = self.register.entry(present.id)
-        if entry is None or present.status is not Status.ESCALATED or self._stands("pause", present):
+        if entry is None:
             return present
-        async with entry.lock:
-            return entry.newest
+
+        def asked() -> bool:
+            return entry.newest.status is Status.ESCALATED and not self._stands("pause", entry.newest)
+
+        while entry.lock.locked() and asked():  # noqa: ASYNC110 (whoever has the lock, or the question, tells nobody)
+            await asyncio.sleep(LOOK_S)
+        return entry.newest
 
     async def _loosen(
         self, op: str, cell: Cell, present: Invocation, principal: Principal, after: int | None

@@ -570,11 +570,36 @@ async def test_a_pause_that_comes_while_an_answer_is_recorded_waits_for_that_and
     await answering
     if decision == "approve":
         assert (await pausing)["recorded"]
-        await until(lambda: cell.ops() == ["resolve_continue", "pause"])
+        await until(lambda: cell.ops()[-2:] == ["resolve_continue", "pause"])
     else:
         with pytest.raises(Conflict) as refused:
             await pausing
         assert refused.value.code == "ending"
+
+
+async def test_a_pause_waits_for_no_report_that_is_recorded_behind_the_answer(
+    runtime: Runtime, cell: HandCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    name = await running(runtime, cell)
+    await cell.report("escalation", name, reason="separation_m")
+    await cell.state(status="escalated")
+    question = runtime.desk.pending_for(name)
+    assert question is not None
+    gate = Gate(runtime, monkeypatch)
+    answering = asyncio.create_task(runtime.desk.resolve(question.id, OPERATOR_2, "approve", question.digest))
+    await gate.reached.wait()
+    stalled = Gate(runtime, monkeypatch)  # of whatever comes behind
+    reporting = asyncio.create_task(cell.report("alert", name, rule="grip", signal="SLIP"))
+    entry = runtime.register.entry(name)
+    assert entry is not None
+    await until(lambda: bool(entry.lock._waiters))
+    pausing = asyncio.create_task(runtime.governor.pause(name, OPERATOR))
+    await asyncio.wait({pausing}, timeout=0.1)
+    gate.open.set()
+    await stalled.reached.wait()
+    await until(lambda: cell.ops()[-2:] == ["resolve_continue", "pause"])
+    stalled.open.set()
+    await asyncio.gather(answering, pausing, reporting)
 
 
 async def test_that_somebody_looks_at_a_question_overtakes_no_word(runtime: Runtime, cell: HandCell) -> None:
