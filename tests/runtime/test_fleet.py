@@ -634,9 +634,14 @@ async def test_a_cell_that_leaves_while_it_is_recorded_has_spent_what_that_costs
 ) -> None:
     known, long = runtime.fleet.cell(CELL), cell.event("cell", what="started", detail="x" * 200_000)
     known.records = Budget(most=1.0, per_s=1.0)
+    slow = threading.Event()
+    runtime.register.store._committer.submit(slow.wait)
     await cell.say(long)
     await until(known.recording.locked)
-    await cell.hang_up()
+    leaving = asyncio.create_task(cell.hang_up())
+    await until(lambda: not runtime.fleet.facts(known).online)
+    slow.set()
+    await leaving
     await until(lambda: known.up_seq == long.seq)
     assert known.records.owed_s() > 200_000.0
 
