@@ -15,7 +15,7 @@ import httpx
 import pytest
 from mcap.reader import make_reader
 
-from tests.conftest import PACE, until
+from tests.conftest import PACE, PATIENCE_S, until
 
 pytestmark = [pytest.mark.process, pytest.mark.timeout(180)]
 
@@ -56,7 +56,7 @@ def test_a_demo_that_fell_short_keeps_the_server_that_it_was_told_to_keep(tmp_pa
     assert demo.stdout is not None
     line = next(line for line in demo.stdout if line.startswith("console"))
     url, token = line.split()[-1].split("/#token=")
-    with httpx.Client(base_url=url, headers={"Authorization": f"Bearer {token}"}) as operator:
+    with httpx.Client(base_url=url, headers={"Authorization": f"Bearer {token}"}, timeout=PATIENCE_S) as operator:
         question = until(lambda: operator.get("/v1/escalations").json()["items"])[0]
         denial = {"decision": "deny", "code": "other", "digest": question["digest"]}
         assert operator.post(f"/v1/escalations/{question['id']}/resolve", json=denial).is_success
@@ -80,7 +80,7 @@ def test_a_demo_that_is_told_to_end_or_whose_terminal_goes_takes_its_server_alon
     for demo, number in zip(demos, numbers, strict=True):
         assert demo.stdout is not None
         url = next(line for line in demo.stdout if line.startswith("server")).split()[-1]
-        assert httpx.get(f"{url}/healthz").status_code == 200
+        assert httpx.get(f"{url}/healthz", timeout=PATIENCE_S).status_code == 200
         demo.send_signal(number)
         assert demo.wait(30) > 0
         demo.stdout.close()
