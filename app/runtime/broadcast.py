@@ -67,7 +67,7 @@ class Broadcast:
         self._grants: dict[str, Standing] = {}
         self._reviews: dict[str, Review] = {}
         self._queued = False  # how many reviews wait may have changed
-        self._cells: dict[str, Mapping[str, Any]] = {}
+        self._cells: dict[str, Mapping[str, Any]] = {}  # as consoles were told of them; empty: to be told anew
         self._consoles: set[Outlet] = set()
         self._joining: dict[Outlet, int | None] = {}
         self._due: asyncio.TimerHandle | None = None
@@ -194,7 +194,7 @@ class Broadcast:
             self._schedule()
 
     def _look_at_cells(self) -> None:
-        """Notice what changes without a word: a cell that came, left, or fell silent."""
+        """Notice what changes without a word: a cell that came, left, fell silent, or is known no more."""
         if not self._consoles:
             return
         now_s = monotonic_s()
@@ -203,8 +203,10 @@ class Broadcast:
             self._refreshed_s = now_s
         for cell in self._fleet.cells():
             if refresh or self._changed(cell.id, self._fleet.document(cell)):
-                self._cells.pop(cell.id, None)
+                self._cells[cell.id] = {}
                 self._schedule()
+        if self._forgotten_cells():
+            self._schedule()
 
     def _changed(self, cell: str, document: Mapping[str, Any]) -> bool:
         return _steady(document) != self._cells.get(cell)
@@ -256,8 +258,8 @@ class Broadcast:
                 parts.append(b'"%s":' % name + orjson.dumps([one.public() for one in changed.values()]))
         if self._queued:
             parts.append(b'"reviews_waiting":%d' % self._desk.reviews.count)
-        if cells := self._changed_cells():
-            parts.append(b'"cells":' + orjson.dumps(cells))
+        cells = {"cells": self._changed_cells(), "cells_gone": self._forgotten_cells()}
+        parts.extend(b'"%s":' % name.encode() + orjson.dumps(told) for name, told in cells.items() if told)
         self._forget()
         return b",".join(parts) or None
 
@@ -273,6 +275,8 @@ class Broadcast:
             outlet.say(text, mark)
 
     def _forget(self) -> None:
+        for cell in self._forgotten_cells():
+            del self._cells[cell]
         self._fresh, self._invocations, self._escalations = [], {}, {}
         self._grants, self._reviews, self._queued = {}, {}, False
 
@@ -297,6 +301,10 @@ class Broadcast:
                 self._cells[cell.id] = _steady(document)
                 changed.append(document)
         return changed
+
+    def _forgotten_cells(self) -> list[str]:
+        """Return the cells that consoles were told of, and that are known no more."""
+        return [cell for cell in self._cells if cell not in self._fleet.roster]
 
     def _welcome(self) -> None:
         if not self._joining:

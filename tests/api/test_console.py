@@ -19,7 +19,7 @@ from websockets.typing import Subprotocol
 from app.api import console as door
 from app.api.auth import PRINCIPALS_FILE
 from app.protocol import pack_poses
-from app.runtime import broadcast, outlet
+from app.runtime import broadcast, outlet, roster
 from app.runtime.broadcast import SHOWN_INVOCATIONS
 from tests.api.conftest import CELL, House, Puppet, eventually
 
@@ -435,6 +435,31 @@ async def test_a_cell_that_comes_and_goes_and_latches_is_shown(house: House) -> 
             await operator.post(f"/v1/cells/{CELL}/reset")
             await screen.until(lambda message: says(message, latched=False))
         await screen.until(lambda message: says(message, online=False))
+
+
+async def test_a_cell_that_makes_room_for_another_is_said_to_be_gone_and_comes_back(
+    house: House, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(roster, "MOST_CELLS", 1)
+    monkeypatch.setattr(roster, "FORGOTTEN_S", 0.0)
+    other = f"{CELL}-too"
+    async with house.cell():
+        pass
+    async with signed_in(house) as screen:
+        assert cells_in(await screen.until_type("snapshot")) == [CELL]
+        for name, gone in ((other, CELL), (CELL, other), (other, CELL)):
+            async with house.cell(name):
+                await screen.until(lambda message, name=name: name in cells_in(message))
+                await screen.until_type("beat")
+            assert screen.heard.pop()["type"] == "beat"
+            assert [cell for message in screen.heard for cell in message.get("cells_gone", [])] == [gone]
+            screen.heard.clear()
+        async with signed_in(house) as later:
+            assert cells_in(await later.until_type("snapshot")) == [other]
+
+
+def cells_in(message: dict[str, Any]) -> list[str]:
+    return [cell["id"] for cell in message.get("cells", [])]
 
 
 @pytest.mark.parametrize("key", ["operator", "engineer", "auditor"])

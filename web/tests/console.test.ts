@@ -175,6 +175,21 @@ describe('the cell that is looked at', () => {
     expect([page.cells[0]?.id, page.stoppable]).toEqual(['aleph', 'alpha']);
   });
 
+  it('is no other once the server knows it no more, until the person chooses one, or it is back', () => {
+    const known = (...ids: string[]): (string | null | undefined)[] => {
+      worker().say({ type: 'snapshot', seq: 2, cells: ids.map((id) => cell({ id })), invocations: [], escalations: [], grants: [], reviews: [], reviews_waiting: 0, events: [] });
+      return [page.cell?.id, page.gone, page.stoppable];
+    };
+    page.select('workcell-3');
+    expect(known('alpha', 'workcell-1')).toEqual([undefined, 'workcell-3', 'workcell-3']);
+    expect([page.live, page.seen]).toEqual([true, false]);
+    expect(known('alpha', 'workcell-3')).toEqual(['workcell-3', null, 'workcell-3']);
+    known('alpha');
+    page.select('alpha');
+    expect(known('alpha', 'workcell-3')).toEqual(['alpha', null, 'alpha']);
+    expect(known()).toEqual([undefined, 'alpha', 'alpha']);
+  });
+
   it('is drawn anew without the way that was planned before: of none that there is no more, a cell says nothing', () => {
     described('workcell-1');
     worker().say({ type: 'path', cell: 'workcell-1', invocation: 'inv_1', points: [[0, 0], [1, 1]] });

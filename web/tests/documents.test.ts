@@ -42,6 +42,13 @@ function shift(sessions: number, known: Documents = NOTHING): Documents {
 
 const count = (all: object): number => Object.keys(all).length;
 
+describe('a cell', () => {
+  it('is known until the server says that it is gone', () => {
+    const before = merged(NOTHING, { seq: 1, cells: [cell(), cell({ id: 'workcell-2' })] });
+    expect(Object.keys(merged(before, { seq: 1, cells: [cell({ id: 'workcell-3' })], cells_gone: ['workcell-1'] }).cells)).toEqual(['workcell-2', 'workcell-3']);
+  });
+});
+
 describe('what a console keeps over a shift', () => {
   const known = shift(300);
 

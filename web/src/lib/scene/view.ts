@@ -1,5 +1,5 @@
 import { Box3, DirectionalLight, Group, HemisphereLight, Scene as World, Vector3, WebGLRenderer } from 'three';
-import type { SceneInfo } from '../state/console.svelte';
+import type { SceneInfo } from '../state/drawn';
 import type { PoseFrame } from '../socket/frame';
 import { buildBodies, dispose, isPerson, place as put, type Bodies } from './build';
 import { CameraRig, type View } from './camera';

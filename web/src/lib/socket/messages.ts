@@ -9,6 +9,8 @@ export interface Changes {
   invocations?: Invocation[];
   escalations?: Escalation[];
   cells?: Cell[];
+  /** Names of cells that the server knows no more; of an update alone. */
+  cells_gone?: string[];
   grants?: Grant[];
   reviews?: Review[];
   /** How many wait, those included that are not told of. */
@@ -38,7 +40,7 @@ export interface Scene {
 
 export type Down =
   | { type: 'welcome'; version: number; name: string; role: string; station: string | null; boot: string; at: string | number }
-  | ({ type: 'snapshot' } & Required<Changes>)
+  | ({ type: 'snapshot' } & Required<Omit<Changes, 'cells_gone'>>)
   | ({ type: 'update'; beat?: number } & Changes)
   | { type: 'scene'; cell: string; scene: Scene; bodies: string[]; gauges: string[] }
   | { type: 'path'; cell: string; invocation: string | null; points: [number, number][] }

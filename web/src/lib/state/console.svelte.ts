@@ -14,25 +14,15 @@ import { Unheeded } from '../live/unheeded.svelte';
 import type { Health } from '../socket/connection';
 import type { PoseFrame } from '../socket/frame';
 import { Link } from '../socket/link';
-import type { Down, Jog, Scene } from '../socket/messages';
+import type { Down, Jog } from '../socket/messages';
 import { clock, serverMs } from './clock.svelte';
 import { fromSnapshot, grantOf, merged, NOTHING, type Documents } from './documents';
+import { of, type Path, type SceneInfo } from './drawn';
 import { Ends } from './ends.svelte';
 import { Lapses } from './lapses.svelte';
 import { Pace } from './pace';
 import { Quiet } from './quiet';
 import { tab } from './tab';
-
-export interface SceneInfo {
-  scene: Scene;
-  bodies: string[];
-  gauges: string[];
-}
-
-export interface Path {
-  invocation: string | null;
-  points: [number, number][];
-}
 
 /** `told`: the numbers of this frame are those that are shown as text, everywhere on the page. */
 type FrameListener = (frame: PoseFrame, told: boolean) => void;
@@ -163,12 +153,19 @@ export class Console {
   }
 
   get cell(): Cell | null {
-    return (this.selected === null ? undefined : entryOf(this.docs.cells, this.selected)) ?? this.cells[0] ?? null;
+    const known = this.selected === null ? undefined : entryOf(this.docs.cells, this.selected);
+    return known ?? (this.gone === null ? this.cells[0] : null) ?? null;
+  }
+
+  /** The cell that was looked at until the server knew it no more: no other takes its place by itself. */
+  get gone(): string | null {
+    const { selected } = this;
+    return selected !== null && selected === this.met && !Object.hasOwn(this.docs.cells, selected) ? selected : null;
   }
 
   /** The cell that a stop is for. */
   get stoppable(): string | null {
-    const known = this.cell?.id ?? null;
+    const known = this.cell?.id ?? this.gone;
     if (known !== null) return known;
     return this.listed.find((id) => id === this.selected) ?? this.listed[0] ?? null;
   }
@@ -262,11 +259,14 @@ export class Console {
 
   private also: string | null = null;
   private watched: string[] = [];
+  /** Of which cell the server told when it was looked at last. */
+  private met: string | null = null;
   /** Which of them have been described since: frames before that bear places in an earlier list. */
   private described: string[] = [];
 
   private watch(): void {
     const first = this.cell?.id ?? null;
+    this.met = first ?? this.met;
     const wanted = [first, this.also === first ? null : this.also].filter((cell) => cell !== null);
     if (wanted.join('\n') === this.watched.join('\n')) return;
     if (this.watched.length > 0) this.link.send({ type: 'watch', cells: [] }); // so that all are described anew
@@ -393,8 +393,4 @@ export class Console {
       this.policyAgain = setTimeout(() => void this.fetchPolicy(), POLICY_AGAIN_MS);
     }
   }
-}
-
-function of<T>(names: readonly string[], all: Record<string, T>): Record<string, T> {
-  return Object.fromEntries(Object.entries(all).filter(([name]) => names.includes(name)));
 }

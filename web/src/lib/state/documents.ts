@@ -37,7 +37,7 @@ export function fromSnapshot(snapshot: Changes, before: Documents): Documents {
 export function merged(before: Documents, changes: Changes): Documents {
   return {
     seq: changes.seq,
-    cells: put(before.cells, changes.cells),
+    cells: without(put(before.cells, changes.cells), changes.cells_gone ?? []),
     invocations: newest(put(before.invocations, changes.invocations)),
     escalations: pendingOnly(put(before.escalations, changes.escalations)),
     grants: standing(put(before.grants, changes.grants)),
@@ -50,6 +50,10 @@ export function merged(before: Documents, changes: Changes): Documents {
 function put<T extends { id: string }>(before: Record<string, T>, changed: readonly T[] | undefined): Record<string, T> {
   if (changed === undefined || changed.length === 0) return before;
   return { ...before, ...Object.fromEntries(changed.map((item) => [item.id, item])) };
+}
+
+function without<T>(all: Record<string, T>, gone: readonly string[]): Record<string, T> {
+  return gone.length === 0 ? all : Object.fromEntries(Object.entries(all).filter(([name]) => !gone.includes(name)));
 }
 
 /** An answered question waits for nobody; its invocation still tells what became of it. */
