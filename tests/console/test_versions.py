@@ -8,6 +8,7 @@ import zipfile
 from collections.abc import Iterator
 from contextlib import AbstractContextManager
 from pathlib import Path
+from urllib.parse import urlsplit
 
 import pytest
 from playwright.sync_api import Locator, Route, expect
@@ -17,6 +18,8 @@ from app.governance.model import Role
 from tests.conftest import ServerProcess, Servers, until
 from tests.console.conftest import PHONE, ROOT, THREE_FRAMES, People, Person, at_once, wider_than_the_screen
 from tests.console.test_access import AXE, COLOURS, EVERYTHING, faults
+from tests.console.test_link import BROKEN
+from tests.console.wire import wire_to
 
 pytestmark = [pytest.mark.browser, pytest.mark.process]
 FIRMER = "grip_force_n: {max: 70,"
@@ -393,6 +396,21 @@ def test_a_version_that_the_list_does_not_reach_to_is_read_by_its_digest(
             expect(said).to_have_text("There is no such version.")
         else:
             expect(view).to_contain_text(found)
+
+
+def test_versions_are_asked_for_anew_when_the_link_is_back(changing: ServerProcess, people: People) -> None:
+    with wire_to(urlsplit(changing.url).port or 0) as wire:
+        keep = f"sessionStorage.setItem('reins.token', '{changing.tokens['engineer']}')"
+        person = people.open(f"http://127.0.0.1:{wire.port}/#/policy/Versions", init=keep)
+        person.expects(BROKEN)
+        expect(person.region("Versions").get_by_role("link").first).to_be_visible()
+        wire.cut()
+        expect(person.alert("Link down.")).to_be_visible()
+        # as of another log whose events have the numbers that those of the one before had
+        others = {"items": [], "next": None, "active": None, "why": "another directory"}
+        person.page.route("**/v1/policies?*", lambda route: route.fulfill(json=others))
+        wire.mend()
+        expect(person.region("Versions").get_by_role("link")).to_have_count(1)  # that to bring a candidate
 
 
 @pytest.mark.parametrize("size", [None, PHONE], ids=["desk", "phone"])
