@@ -130,6 +130,11 @@ def test_a_policy_that_could_not_be_read_anew_is_not_shown_as_the_one_in_force(
         wire.mend()
         expect(person.alert("Link down.")).to_have_count(0)
         assert all(place.evaluate(GREY) for place in places)
+        person.press("4")
+        card = person.region("workcell-1")
+        expect(card).to_be_visible()
+        expect(card).not_to_contain_text("in force")  # neither as that, nor as another
+        person.press("3")
         person.page.unroute("**/policies/active")
         until(lambda: not any(place.evaluate(GREY) for place in places), what="a policy that was read anew")
 
