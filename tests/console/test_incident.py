@@ -196,6 +196,7 @@ def test_of_two_cells_each_part_of_the_page_names_its_own(
     incident.ask("workcell-2", "operate_tool", tool="lever", action="pull_down")
     session = person.region("Session")
     expect(cards(person)).to_contain_text("Picture, session and stages on this page are of workcell-1, another cell")
+    expect(deny(person)).to_have_accessible_description("planner · workcell-2")  # what is asked may be the same in both
     expect(session).to_contain_text(re.compile(r"workcell-1\s·\sinv_"))
     expect(session).to_contain_text("The question that is open is about workcell-2, another cell.")
     stages = person.page.get_by_role("list", name="The seven stages of the session in workcell-1")
