@@ -25,7 +25,7 @@ from websockets.http11 import MAX_LINE_LENGTH, MAX_NUM_HEADERS
 
 from app.api.frame import SECURITY_HEADERS
 from app.api.problems import Problem
-from app.api.staying import CUT, GONE
+from app.api.staying import CUT, GONE, UNREAD
 
 if TYPE_CHECKING:
     import asyncio
@@ -143,6 +143,7 @@ class Exchanges(HttpToolsProtocol):
             self.cycle.transport = cast("asyncio.Transport", Answer(self.transport, self.loop))
             if cast("HttpRequestParser", self.parser).should_upgrade():  # what follows is not read as HTTP
                 self.cycle.keep_alive = False
+                cast("dict[str, object]", self.scope)[UNREAD] = self._has_body()
 
     def handle_websocket_upgrade(self) -> None:
         """Let a websocket take over, if its reader can read the handshake."""
@@ -173,7 +174,11 @@ class Exchanges(HttpToolsProtocol):
         """
         if self.scope["method"] != "GET" or self.scope["http_version"] != "1.1" or not super()._should_upgrade():
             return False
-        return all(value == b"0" and name == b"content-length" for name, value in self.headers if name in FRAMING)
+        return not self._has_body()
+
+    def _has_body(self) -> bool:
+        framing = [field for field in self.headers if field[0] in FRAMING]
+        return any(field != (b"content-length", b"0") for field in framing)
 
     def _look(self) -> None:
         """See whether the peer lets others wait, and end that once it has for long enough."""

@@ -36,7 +36,7 @@ AGAIN: Mapping[str, str] = {"Retry-After": "5"}
 CODES: Mapping[str, tuple[int, str]] = {
     "http_malformed": (400, "what was sent is no HTTP/1.1 request; the connection ends"),
     "handshake_invalid": (400, "what was sent does not open a websocket; the connection ends"),
-    "body_incomplete": (400, "the connection ended within the body"),
+    "body_incomplete": (400, "the connection ended within the body, or another protocol is wished for (`Upgrade`)"),
     "given_twice": (400, "a header or query parameter that counts once was given more than once"),
     "token_missing": (401, "the request bears no bearer token"),
     "token_invalid": (401, "the token is not known"),

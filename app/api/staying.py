@@ -22,6 +22,7 @@ STILL_KNOWN_S: Final = 1.0
 SHOWN_OUT: Final = 4000
 CUT: Final = "reins.cut"  # in the scope of a request: what cuts the connection of a peer that reads no farewell
 GONE: Final = "reins.gone"  # likewise: what says whether its peer has ended the connection
+UNREAD: Final = "reins.unread"  # likewise: whether it has a body that is not read as one
 
 
 async def until_refused(let_in: Callable[[], object]) -> Problem:

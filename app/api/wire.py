@@ -21,6 +21,7 @@ from app.api.listing import MAX_SEQ
 from app.api.parts import parts_of
 from app.api.problems import Problem
 from app.api.seats import LONG_BYTES
+from app.api.staying import UNREAD
 from app.governance.semver import PIN
 from app.runtime.grant import LEAST_MINUTES
 
@@ -273,6 +274,10 @@ async def read_bytes(request: Request, at_most: int = MAX_BODY_BYTES) -> bytes:
     Raises:
         Problem: 413 `body_too_large`, by the declared length or by what arrived; 400 `body_incomplete`.
     """
+    if request.scope.get(UNREAD):
+        raise Problem(
+            "body_incomplete", "what follows a wish for another protocol is no body; valid: without `Upgrade`"
+        )
     declared = _header(request, b"content-length") or ""
     if declared.isascii() and declared.isdigit() and int(declared[:19]) > at_most:
         raise _too_large(at_most)

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import Any
 
@@ -161,6 +162,26 @@ async def test_anyone_may_stop_a_cell_and_only_a_reset_leaves_it(house: House, k
         again = await operator.post(f"/v1/cells/{CELL}/reset")
         assert (again.status_code, again.json()["code"]) == (409, "not_latched")
         assert not cell.launches
+
+
+async def test_no_word_counts_without_the_body_that_came_with_it(house: House) -> None:
+    # As clients say it that would rather speak HTTP/2; what follows is not read as HTTP then.
+    wish = {"Connection": "Upgrade, HTTP2-Settings", "Upgrade": "h2c", "HTTP2-Settings": "AAMAAABkAAQAAP__"}
+
+    async def in_chunks() -> AsyncIterator[bytes]:
+        yield b'{"step": "arm"}'
+
+    async with house.cell() as cell, house.client("operator") as operator:
+        assert (await operator.post(f"/v1/cells/{CELL}/estop", json={}, headers=wish)).status_code == 200
+        await eventually(lambda: cell.latched)
+        reset = f"/v1/cells/{CELL}/reset"
+        for body in (b'{"step": "arm"}', in_chunks()):
+            refused = await operator.post(reset, content=body, headers={**wish, "Content-Type": "application/json"})
+            assert (refused.status_code, refused.json()["code"]) == (400, "body_incomplete")
+            assert "`Upgrade`" in refused.json()["detail"]
+        assert cell.latched
+        assert (await operator.post(reset, headers=wish)).status_code == 200
+        await eventually(lambda: not cell.latched)
 
 
 async def test_an_engineer_changes_the_profile_of_a_cell(house: House) -> None:
