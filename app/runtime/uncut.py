@@ -4,7 +4,11 @@ from __future__ import annotations
 
 import asyncio
 from functools import wraps
-from typing import TYPE_CHECKING, Any, Concatenate, ParamSpec, TypeVar
+from typing import TYPE_CHECKING, Any, Concatenate, Final, ParamSpec, TypeVar
+
+from app.audit.errors import AuditError
+from app.protocol import ProtocolError
+from app.runtime.errors import RuntimeRefusal
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Coroutine
@@ -12,6 +16,8 @@ if TYPE_CHECKING:
 S = TypeVar("S")
 P = ParamSpec("P")
 T = TypeVar("T")
+
+REFUSALS: Final = (AuditError, ProtocolError, RuntimeRefusal)
 
 
 def uncut(
@@ -21,6 +27,19 @@ def uncut(
 
     @wraps(method)
     async def run(self: S, *args: P.args, **kwargs: P.kwargs) -> T:
-        return await asyncio.shield(asyncio.ensure_future(method(self, *args, **kwargs)))
+        task = asyncio.ensure_future(method(self, *args, **kwargs))
+        try:
+            return await asyncio.shield(task)
+        except asyncio.CancelledError:
+            task.add_done_callback(_left_behind)
+            raise
 
     return run
+
+
+def _left_behind(task: asyncio.Task[Any]) -> None:
+    """Hear how it ended, in the place of whoever has gone: a refusal was for them alone, a bug is told of."""
+    error = None if task.cancelled() else task.exception()
+    if error is not None and not isinstance(error, REFUSALS):
+        context = {"message": "what nobody waited for any more failed", "exception": error}
+        task.get_loop().call_exception_handler(context)
