@@ -258,8 +258,10 @@ class Broadcast:
                 parts.append(b'"%s":' % name + orjson.dumps([one.public() for one in changed.values()]))
         if self._queued:
             parts.append(b'"reviews_waiting":%d' % self._desk.reviews.count)
-        cells = {"cells": self._changed_cells(), "cells_gone": self._forgotten_cells()}
-        parts.extend(b'"%s":' % name.encode() + orjson.dumps(told) for name, told in cells.items() if told)
+        if cells := self._changed_cells():
+            parts.append(b'"cells":' + _array(cells))
+        if gone := self._forgotten_cells():
+            parts.append(b'"cells_gone":' + orjson.dumps(gone))
         self._forget()
         return b",".join(parts) or None
 
@@ -293,13 +295,15 @@ class Broadcast:
         self._living.update(one.id for one in followed if not one.final)
         return followed + others[-SHOWN_INVOCATIONS:]
 
-    def _changed_cells(self) -> list[Mapping[str, Any]]:
-        changed: list[Mapping[str, Any]] = []
+    def _changed_cells(self) -> list[bytes]:
+        """Return the cells that changed; one that says more than it may is told of later, as it is by then."""
+        changed: list[bytes] = []
         for cell in self._fleet.cells():
             document = self._fleet.document(cell)
-            if self._changed(cell.id, document):
+            if self._changed(cell.id, document) and cell.shown.owed_s() <= 0:
                 self._cells[cell.id] = _steady(document)
-                changed.append(document)
+                changed.append(orjson.dumps(document))
+                cell.shown.spend(len(changed[-1]))
         return changed
 
     def _forgotten_cells(self) -> list[str]:

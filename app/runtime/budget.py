@@ -14,7 +14,7 @@ from app.clock import monotonic_s
 # of faults, people and words of operators 1.5 kB a second of the robot's time, which may pass 44 times as fast.
 MOST_RECORDED: Final = 16 * 1024 * 1024
 RECORDED_PER_S: Final = 64 * 1024
-MOST_SHOWN: Final = 2 * 1024 * 1024  # of scenes and paths: a console is cut off that is 16 MB behind
+MOST_SHOWN: Final = 2 * 1024 * 1024  # of scenes and paths, and of states: a console is cut off that is 16 MB behind
 SHOWN_PER_S: Final = 64 * 1024
 ROW: Final = 512  # what a report costs the disk beside its own characters
 
@@ -50,5 +50,5 @@ def records() -> Budget:
 
 
 def drawings() -> Budget:
-    """Return what one cell may have consoles shown of what it looks like and where it goes, in characters."""
+    """Return what one cell may have consoles shown, in characters: of how it looks and goes, or of how it is."""
     return Budget(most=MOST_SHOWN, per_s=SHOWN_PER_S)

@@ -14,7 +14,7 @@ from app.clock import monotonic_s
 from app.governance.control import GOING_ON
 from app.governance.model import WorldFacts
 from app.protocol import first_problem
-from app.runtime.budget import Budget, records
+from app.runtime.budget import Budget, drawings, records
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
@@ -135,6 +135,7 @@ class Cell:
     arriving: asyncio.Lock = field(default_factory=asyncio.Lock)  # its links come and go one after the other
     recording: asyncio.Lock = field(default_factory=asyncio.Lock)  # one batch at a time, whichever link brought it
     records: Budget = field(default_factory=records)  # what it may have recorded, over whichever link
+    shown: Budget = field(default_factory=drawings)  # what consoles may be told of its states
     takings: int = 0  # how often somebody was given the controls that nobody had
     taking: asyncio.Lock = field(default_factory=asyncio.Lock)  # one taker of an idle cell at a time
     claim: str | None = None

@@ -35,6 +35,7 @@ from app.runtime import register as register_module
 from app.runtime import roster as roster_module
 from app.runtime import sessions as sessions_module
 from app.runtime.assembly import Runtime
+from app.runtime.broadcast import TICK_S
 from app.runtime.budget import Budget
 from app.runtime.errors import Conflict
 from app.runtime.link import BATCH, MAX_READ, MAX_SHOWN, MAX_WAITING, MOST_VALUES, PROTOCOL_VIOLATION, RETRY_S
@@ -183,6 +184,22 @@ async def test_a_state_that_nobody_can_be_told_of_ends_its_link_and_keeps_no_con
     await until(lambda: cell.closed is not None)
     assert cell.closed is not None
     assert (cell.closed[0], why in cell.closed[1]) == (PROTOCOL_VIOLATION, True)
+
+
+async def test_consoles_are_told_later_of_a_cell_whose_states_are_long_and_are_not_cut_off(
+    runtime: Runtime, cell: HandCell
+) -> None:
+    console, told = Outlet(), ""
+    runtime.broadcast.join(console, None)
+    runtime.fleet.cell(CELL).shown = Budget(most=1_000_000.0, per_s=200_000.0)
+    for number in range(100):
+        await cell.state(status="x" * 200_000 + f" {number}")
+        await asyncio.sleep(1.1 * TICK_S)
+    assert console.ended is None
+    async with asyncio.timeout(10.0):
+        while not told.endswith(f" {number}"):
+            for document in json.loads(str(await console.next())).get("cells", ()):
+                told = document["status"] or ""
 
 
 async def test_a_cell_has_one_link(runtime: Runtime, cell: HandCell) -> None:
