@@ -14,6 +14,7 @@ import httpx
 import orjson
 import pytest
 
+from app.runtime.broadcast import BEAT_S, TICK_S
 from tests.api.conftest import CELL, House, eventually, open_house
 from tests.api.test_console import signed_in
 from tests.api.test_grants import GRANT
@@ -23,6 +24,7 @@ from tests.api.test_policies import SLOWER
 pytestmark = pytest.mark.anyio
 
 MAY_BE_TAKEN_S = 0.3
+CONSOLE_WAITS_S = 10.0
 
 
 def goes(sender: socket.socket) -> None:
@@ -89,6 +91,27 @@ async def test_an_approval_that_was_held_back_for_longer_than_its_sender_waits_i
         question = await ask(shared_house)
         place = f"/v1/escalations/{question['id']}/resolve"
         assert (await says("approve", f"{beat} 60000"))[0] == 200
+        await eventually(lambda: cell.launches)
+        await cell.end("succeeded")
+        await eventually(lambda: shared_house.runtime.register.newest(question["invocation"]) is None)
+
+
+async def test_an_approval_counts_for_as_long_as_its_sender_waits_however_much_is_told_meanwhile(
+    shared_house: House,
+) -> None:
+    async with (
+        shared_house.cell() as cell,
+        shared_house.client("operator") as operator,
+        signed_in(shared_house) as screen,
+    ):
+        question = await ask(shared_house)
+        beat = (await screen.until_type("beat"))["n"]
+        for _ in range(int(CONSOLE_WAITS_S * (1.0 / TICK_S + 1.0 / BEAT_S))):  # as if every update were long
+            shared_house.runtime.broadcast._next_beat()
+        body = {"decision": "approve", "digest": question["digest"]}
+        said = {"Reins-Patience": f"{beat} {CONSOLE_WAITS_S * 1000:.0f}"}
+        answer = await operator.post(f"/v1/escalations/{question['id']}/resolve", json=body, headers=said)
+        assert answer.is_success, answer.text
         await eventually(lambda: cell.launches)
         await cell.end("succeeded")
         await eventually(lambda: shared_house.runtime.register.newest(question["invocation"]) is None)
