@@ -602,6 +602,29 @@ async def test_a_pause_waits_for_no_report_that_is_recorded_behind_the_answer(
     await asyncio.gather(answering, pausing, reporting)
 
 
+async def test_a_pause_waits_for_an_answer_whose_turn_comes_just_then(
+    runtime: Runtime, cell: HandCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    name = await running(runtime, cell)
+    await cell.report("escalation", name, reason="separation_m")
+    await cell.state(status="escalated")
+    question, entry = runtime.desk.pending_for(name), runtime.register.entry(name)
+    assert question is not None
+    assert entry is not None
+    gate = Gate(runtime, monkeypatch)
+    await entry.lock.acquire()  # as a report has it that is being recorded
+    answering = asyncio.create_task(runtime.desk.resolve(question.id, OPERATOR_2, "approve", question.digest))
+    await until(lambda: bool(entry.lock._waiters))
+    pausing = asyncio.create_task(runtime.governor.pause(name, OPERATOR))
+    await asyncio.sleep(0)  # it is about to look
+    entry.lock.release()
+    await gate.reached.wait()
+    gate.open.set()
+    assert (await pausing)["recorded"]
+    await until(lambda: cell.ops()[-2:] == ["resolve_continue", "pause"])
+    await answering
+
+
 async def test_that_somebody_looks_at_a_question_overtakes_no_word(runtime: Runtime, cell: HandCell) -> None:
     name = await running(runtime, cell)
     await cell.report("escalation", name, reason="separation_m")
