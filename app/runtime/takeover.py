@@ -184,7 +184,8 @@ class Takeovers(Handbacks):
         entry = self.register.entry(present.id)
         word = self._word("takeover", present, principal, document, how)
         held = {"where": document["where"], "since": document["since"]}
-        if entry is None or (how is Taking.RENEWED and not _moved(entry.newest, held)):
+        passing = cell.is_passing()  # then even a renewal waits for what it renews
+        if entry is None or (how is Taking.RENEWED and not passing and not _moved(entry.newest, held)):
             await self.register.append([word])
             return
         async with entry.lock:  # whoever had it before may be about to have it recorded

@@ -234,6 +234,24 @@ async def test_who_takes_the_controls_from_another_twice_has_nothing_where_neith
     assert jog(runtime, OPERATOR, lease, 1) is None
 
 
+async def test_who_takes_the_controls_from_another_has_them_from_nowhere_else_before_that_is_recorded(
+    runtime: Runtime, cell: HandCell, driving: str
+) -> None:
+    lease = await runtime.governor.take_over(driving, OPERATOR)
+    await cell.report("launch", driving, capability="takeover")
+    entry = runtime.register.entry(driving)
+    assert entry is not None
+    async with entry.lock:  # as a report has it that is being recorded
+        gone = asyncio.create_task(runtime.governor.take_over(driving, replace(LOCAL, waits=lambda: False)))
+        await until(lambda: runtime.governor.cells()[0]["control"]["holder"] == LOCAL.name)
+        elsewhere = asyncio.create_task(runtime.governor.take_over(driving, replace(LOCAL, station=None)))
+        await asyncio.wait({elsewhere}, timeout=0.1)
+    assert [(await refused(one)).code for one in (gone, elsewhere)] == ["given_up", "takeover_refused"]
+    assert jog(runtime, OPERATOR, lease, 1) is None
+    told = await runtime.store.events(invocation=driving, kind=EventKind.HUMAN)
+    assert [event.actor for event in told if event.payload().get("how")] == [OPERATOR.name]
+
+
 async def test_a_hand_that_falls_silent_is_let_go_of_while_another_is_being_recorded(
     runtime: Runtime, cell: HandCell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
