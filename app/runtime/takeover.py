@@ -178,7 +178,7 @@ class Takeovers(Handbacks):
         """Record that a lease took the place of another, and from where it is held now.
 
         Raises:
-            Conflict: `takeover_refused`, it was let go of before that.
+            Conflict: `takeover_refused`, it was let go of before that; `given_up`, they wait for the answer no more.
             Forbidden: `role_forbidden`, they may do so no more once it is their turn.
         """
         entry = self.register.entry(present.id)
@@ -186,6 +186,7 @@ class Takeovers(Handbacks):
         held = {"where": document["where"], "since": document["since"]}
         passing = cell.is_passing()  # then even a renewal waits for what it renews
         if entry is None or (how is Taking.RENEWED and not passing and not _moved(entry.newest, held)):
+            self.desk.ask_again(principal)
             await self.register.append([word])
             return
         async with entry.lock:  # whoever had it before may be about to have it recorded

@@ -252,6 +252,16 @@ async def test_who_takes_the_controls_from_another_has_them_from_nowhere_else_be
     assert [event.actor for event in told if event.payload().get("how")] == [OPERATOR.name]
 
 
+async def test_who_has_given_up_on_taking_them_again_leaves_the_controls_by_the_lease_they_have(
+    runtime: Runtime, cell: HandCell, driving: str
+) -> None:
+    lease = await runtime.governor.take_over(driving, OPERATOR)
+    await cell.report("launch", driving, capability="takeover")
+    gone = runtime.governor.take_over(driving, replace(OPERATOR, waits=lambda: False))
+    assert (await refused(gone)).code == "given_up"
+    assert jog(runtime, OPERATOR, lease, 1) is None
+
+
 async def test_a_hand_that_falls_silent_is_let_go_of_while_another_is_being_recorded(
     runtime: Runtime, cell: HandCell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
