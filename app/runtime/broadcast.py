@@ -258,12 +258,13 @@ class Broadcast:
                 parts.append(b'"%s":' % name + orjson.dumps([one.public() for one in changed.values()]))
         if self._queued:
             parts.append(b'"reviews_waiting":%d' % self._desk.reviews.count)
-        if cells := self._changed_cells():
-            parts.append(b'"cells":' + _array(cells))
-        if gone := self._forgotten_cells():
-            parts.append(b'"cells_gone":' + orjson.dumps(gone))
+        parts += self._of_cells()
         self._forget()
         return b",".join(parts) or None
+
+    def _of_cells(self) -> list[bytes]:
+        told = {b"cells": _array(self._changed_cells()), b"cells_gone": orjson.dumps(self._forgotten_cells())}
+        return [b'"%s":' % name + those for name, those in told.items() if those != b"[]"]
 
     def _tell(self, update: bytes) -> None:
         """Tell what changed; what is long is a beat as well, so that poses wait for no other to be acknowledged."""
