@@ -1011,7 +1011,7 @@ async def test_whoever_drives_a_session_is_held_to_what_another_policy_says_of_d
     driven = runtime.fleet.cell(cell.id).control
     assert (None if driven is None else driven.lease) == (lease if said is None else None)
     if said is not None:
-        await until(lambda: cell.ops() == ["let_go"])
+        await until(lambda: cell.ops()[:1] == ["let_go"])
 
 
 async def test_whoever_took_a_session_that_had_departed_drives_on_under_the_next_policy(
@@ -1033,7 +1033,7 @@ async def test_whoever_took_a_session_that_had_departed_drives_on_under_the_next
     assert said == ["ESCALATE", "CONTINUE"], "whoever drives was told nothing"
     await put_in_force(runtime, edited(ORGANIZATION, "rules:\n", f"rules:\n{NO_HAND}", SLOWER))
     runtime.governor.loosen_hands()
-    await until(lambda: cell.ops() == ["escalate", "let_go"])
+    await until(lambda: cell.ops()[:2] == ["escalate", "let_go"])  # and maybe told to hold, before anybody looks
     await cell.report("status", made["id"], status="escalated", reason="control_lapsed")
     asked = runtime.desk.pending_for(made["id"])
     assert asked is not None
