@@ -38,6 +38,7 @@ PACE = "10"
 # Servers under test speak no TLS. A client that is not given this reads every certificate there is, and a test that
 # looks fifty times a second would do little else.
 NO_TLS = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
+BEFORE_OTHERS = -10  # how nice they are
 LAPSED = b"link down: nothing heard for"
 INTRODUCED = b"\n  console  http"  # the last line of what a server says of itself, which it begins once it answers
 
@@ -235,6 +236,10 @@ class Servers:
                 env={name: value for name, value in os.environ.items() if not name.startswith("REINS_")},
                 start_new_session=True,
             )
+        # A cell's lease is 300 ms of real time, whoever else computes. Where the system lets us, a server and the cells
+        # that it starts have their turns before the browsers and tests that look at them, as on a robot's computer.
+        with contextlib.suppress(PermissionError):
+            os.setpriority(os.PRIO_PROCESS, process.pid, BEFORE_OTHERS)
         server = ServerProcess(data, process, log)
         self.started.append(server)
         self.logs.add(log)
