@@ -71,6 +71,16 @@ async def back(runtime: Runtime, cell: HandCell, status: str | None = None) -> H
     return await again.dial()
 
 
+async def held(runtime: Runtime, cell: HandCell) -> tuple[str, Escalation]:
+    """Have a session hold for a human; return it, and what is asked."""
+    name = await running(runtime, cell)
+    await cell.report("escalation", name, reason="separation_m")
+    await cell.state(status="escalated")
+    question = runtime.desk.pending_for(name)
+    assert question is not None
+    return name, question
+
+
 async def left_and_asked_about(runtime: Runtime) -> tuple[HandCell, str, Escalation]:
     """Have a cell leave in a session for so long that a human is asked; return both, and what is asked."""
     cell = await HandCell(runtime).dial()
@@ -555,11 +565,7 @@ async def test_a_rollback_that_comes_late_undoes_nothing_that_another_let_go_on(
 async def test_a_pause_that_comes_while_an_answer_is_recorded_waits_for_that_and_holds_what_goes_on_by_it(
     runtime: Runtime, cell: HandCell, monkeypatch: pytest.MonkeyPatch, decision: str
 ) -> None:
-    name = await running(runtime, cell)
-    await cell.report("escalation", name, reason="separation_m")
-    await cell.state(status="escalated")
-    question = runtime.desk.pending_for(name)
-    assert question is not None
+    name, question = await held(runtime, cell)
     gate = Gate(runtime, monkeypatch)
     answering = asyncio.create_task(runtime.desk.resolve(question.id, OPERATOR_2, decision, question.digest))
     await gate.reached.wait()
@@ -580,11 +586,7 @@ async def test_a_pause_that_comes_while_an_answer_is_recorded_waits_for_that_and
 async def test_a_pause_waits_for_no_report_that_is_recorded_behind_the_answer(
     runtime: Runtime, cell: HandCell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    name = await running(runtime, cell)
-    await cell.report("escalation", name, reason="separation_m")
-    await cell.state(status="escalated")
-    question = runtime.desk.pending_for(name)
-    assert question is not None
+    name, question = await held(runtime, cell)
     gate = Gate(runtime, monkeypatch)
     answering = asyncio.create_task(runtime.desk.resolve(question.id, OPERATOR_2, "approve", question.digest))
     await gate.reached.wait()
