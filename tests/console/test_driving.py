@@ -14,6 +14,7 @@ from tests.conftest import ServerProcess, put_in_profile, until
 from tests.console.conftest import (
     DESK,
     DESK_SMALL,
+    LET_GO,
     MAGNIFIED,
     PHONE,
     SIDEWAYS,
@@ -26,6 +27,7 @@ from tests.console.conftest import (
     insist,
     on_top,
     out_of_reach,
+    reload_in_hand,
     resize,
     stop,
     wider_than_the_screen,
@@ -58,9 +60,7 @@ AFTER_THE_LAST_PUSH = "window.jogs.slice(window.jogs.findLastIndex((jog) => jog.
 PUSHES = "window.jogs.filter((jog) => jog.base.some(Boolean)).length"
 ZEROS = [0, 0, 0]
 IDLE, HOLDS = "the controls of the idle cell", "Taking over holds the session"
-LET_GO = "Hold to run; let go to stop"
 HELD = "Moving while you hold"
-TRIES = 3
 LEAST_PX = 180  # of the cell, that a robot in it can be seen
 
 
@@ -78,19 +78,6 @@ def take_controls(person: Person, what: str = IDLE) -> None:
     expect(person.region("Drive by hand")).to_contain_text(what)
     person.button("Take the controls").click()
     expect(person.page.get_by_text(LET_GO)).to_be_visible()
-
-
-def reload_in_hand(person: Person, floor: Floor) -> None:
-    """Load a page anew that has the controls; where it took longer than its holder may be silent, take them again."""
-    kept = person.page.get_by_text(LET_GO)
-    for _ in range(TRIES):
-        person.page.reload()
-        until(lambda: kept.is_visible() or not in_hand(floor), what="controls that are kept, or gone")
-        if in_hand(floor):
-            return
-        expect(person.button("Take over")).to_be_enabled()
-        take_controls(person)
-    pytest.fail("no page was loaded within a lease")
 
 
 def test_over_a_slow_line_nothing_drives_and_why_is_told(server: ServerProcess, people: People, floor: Floor) -> None:
@@ -590,8 +577,7 @@ def test_whoever_signs_out_with_the_controls_is_told_what_becomes_of_them_and_wh
     person.press("t")
     person.button("Take the controls").click()
     expect(person.page.get_by_text(LET_GO)).to_be_visible()
-    person.page.reload()
-    expect(person.page.get_by_text(LET_GO)).to_be_visible()
+    reload_in_hand(person, floor)
     told = person.page.get_by_text("You had the controls of workcell-1")
     expect(told).to_have_count(0)
     person.press("?")

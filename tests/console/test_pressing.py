@@ -10,7 +10,18 @@ import pytest
 from playwright.sync_api import Locator, Route, expect
 
 from tests.conftest import ServerProcess, until
-from tests.console.conftest import DESK, PHONE, Floor, People, Person, at_once, box, stop
+from tests.console.conftest import (
+    DESK,
+    LET_GO,
+    PHONE,
+    Floor,
+    People,
+    Person,
+    at_once,
+    box,
+    reload_in_hand,
+    stop,
+)
 
 pytestmark = [pytest.mark.browser, pytest.mark.process, pytest.mark.usefixtures("free_again")]
 # An ear for the commands that the page hands to its link.
@@ -23,7 +34,6 @@ LISTENING = """
     };
 """
 PUSHES = "window.jogs.filter((jog) => jog.grip !== null || [...jog.base, ...jog.tool].some(Boolean)).length"
-LET_GO = "Hold to run; let go to stop"
 STANDS_MPS, DRIVES_MPS = 0.01, 0.05
 SOON_MS = (150, 300)
 SIZES = pytest.mark.parametrize("size", [DESK, PHONE], ids=["desk", "phone"])
@@ -430,7 +440,7 @@ def test_handing_back_approves_nothing_that_is_not_on_the_screen_any_more(
     back.click()
     expect(asks).to_be_visible()
     if word == "reload":
-        person.page.reload()
+        reload_in_hand(person, floor)
     else:
         person.page.route("**/release", lambda route: route.abort())
         person.button("Roll back").click()
@@ -473,7 +483,7 @@ def test_handing_back_approves_nothing_where_the_refusal_that_told_what_was_lost
     assert answers == [409]
     person.page.unroute("**/release")
     if anew:
-        person.page.reload()
+        reload_in_hand(person, floor)
     expect(person.region("Events")).to_contain_text("operator cannot hand back yet")  # the page has come as far as that
     back.click()
     expect(person.alert("Medium risk needs approval in human-shared.")).to_be_visible()
