@@ -62,7 +62,7 @@ test: setup  ## the whole test suite; what decides is covered to the last branch
 # a console. With a third of the kind, slow cores miss leases. What only computes fills the cores and gives way. What is
 # named nowhere runs with the processes.
 WATCHED := tests/test_demo.py tests/test_takeover.py tests/console
-SHOWN := $(patsubst %,tests/console/test_%.py,names phone pressing reading reviewing scene versions)
+SHOWN := $(patsubst %,tests/console/test_%.py,names reading scene versions)
 SESSIONS := $(patsubst %,tests/test_%.py,activation confirmation console contract crash_recovering)
 AUTHORED := tests/authoring tests/test_cli_authoring.py tests/test_assayer.py
 SIMULATED := tests/sim tests/test_cli.py tests/test_disk.py tests/test_ordeal.py
