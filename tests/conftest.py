@@ -43,6 +43,10 @@ LAPSED = b"link down: nothing heard for"
 INTRODUCED = b"\n  console  http"  # the last line of what a server says of itself, which it begins once it answers
 
 
+# A shell that starts a run in the background has it ignore Ctrl-C, and so would all that is started here.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+
 LAPSES: pytest.StashKey[int] = pytest.StashKey()
 
 
