@@ -56,6 +56,19 @@ GREY = """it => {
     for (let part = it; part !== null; part = part.parentElement) filters.push(getComputedStyle(part).filter);
     return filters.some((filter) => filter !== 'none');
 }"""
+# All that a screen reader is made to say of a link that is late; what is hidden from it is not heard.
+HEARD = """() => {
+    window.heard = new Set();
+    const look = () => {
+        for (const one of document.querySelectorAll('.banners [role=alert]')) {
+            const said = one.cloneNode(true);
+            said.querySelectorAll('[aria-hidden=true]').forEach((unsaid) => unsaid.remove());
+            if (said.textContent.includes('What comes is late')) window.heard.add(said.textContent);
+        }
+        requestAnimationFrame(look);
+    };
+    look();
+}"""
 BROKEN = r"WebSocket connection|ERR_CONNECTION|ERR_EMPTY_RESPONSE|Failed to load resource"
 
 
@@ -92,6 +105,21 @@ def test_a_link_that_goes_is_told_and_what_came_meanwhile_is_there_when_it_is_ba
             person.says_why()
             person.button(re.compile("^Deny")).click()
             assert floor.settled(asked["id"])["status"] == "denied"
+
+
+def test_a_link_that_stays_late_is_told_once_and_its_time_is_seen_to_go_on(
+    server: ServerProcess, people: People, floor: Floor
+) -> None:
+    with wire_to(urlsplit(server.url).port or 0) as wire:
+        person = people.sit(server, at=f"http://127.0.0.1:{wire.port}")
+        person.page.evaluate(HEARD)
+        wire.takes_s = 0.65  # each way: nothing that comes is the present
+        times: set[str] = set()
+        late = person.alert("What comes is late").get_by_text(re.compile(r"^at \d\d:\d\d:\d\d$"))
+        until(lambda: times.add(late.text_content() or "") or len(times) > 3, what="three seconds of it")
+        heard = person.page.evaluate("[...window.heard]")
+        assert heard
+        assert [words for words in heard if re.search(r"\d:\d\d", words)] == []
 
 
 def test_whoever_looks_at_a_page_of_another_version_than_the_server_is_told_and_loads_it_anew(
