@@ -141,6 +141,18 @@ def test_whoever_looks_at_a_page_of_another_version_than_the_server_is_told_and_
         expect(person.page.locator("header dl.facts")).to_contain_text("Idle")
 
 
+def test_whoever_signs_in_at_a_page_of_another_version_than_the_server_is_told(
+    server: ServerProcess, people: People, floor: Floor
+) -> None:
+    person = people.sit(server)
+    person.page.route("**/", lambda route: route.fulfill(body='<script type="module" src="/assets/index-new.js">'))
+    person.press("?")
+    person.page.get_by_role("button", name="Sign out", exact=True).click()
+    person.page.get_by_label("Token").fill(server.tokens["operator_2"])
+    person.press("Enter")
+    expect(person.alert("This page is of another version than the server.")).to_be_visible()
+
+
 def test_a_policy_that_could_not_be_read_anew_is_not_shown_as_the_one_in_force(
     server: ServerProcess, people: People, floor: Floor
 ) -> None:

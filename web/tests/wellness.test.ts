@@ -5,6 +5,9 @@ describe('how the server is', () => {
   beforeEach(() => void vi.useFakeTimers());
   afterEach(() => void vi.useRealTimers());
 
+  const OWN = '/assets/index-1.js';
+  const page = (script: string) => () => Promise.resolve(`<head><script type="module" crossorigin src="${script}"></script></head>`);
+
   it('is told where it keeps robots from moving, the gravest first', () => {
     const found = troublesOf({ store: 'no space left', record: 'event 25 is not what was signed', rows: 'of no concern here' });
     expect(found.map(({ part, why }) => [part, why])).toEqual([['record', 'event 25 is not what was signed'], ['store', 'no space left']]);
@@ -17,7 +20,7 @@ describe('how the server is', () => {
       return next === null ? Promise.reject(new Error('away')) : Promise.resolve(next);
     });
     const wellness = new Wellness();
-    const end = wellness.watch({ health });
+    const end = wellness.watch({ health, page: page(OWN) }, OWN);
     await vi.advanceTimersByTimeAsync(1);
     expect(wellness.troubles.map(({ part }) => part)).toEqual(['record']);
     await vi.advanceTimersByTimeAsync(5_000);
@@ -32,27 +35,40 @@ describe('how the server is', () => {
   it('is not what it was before the link broke off, and is asked at once when that is back', async () => {
     const health = vi.fn(() => Promise.resolve({ status: 'degraded', broken: { store: 'no space left' } }));
     const wellness = new Wellness();
-    wellness.watch({ health })();
-    const end = wellness.watch({ health });
+    wellness.watch({ health, page: page(OWN) }, OWN)();
+    const end = wellness.watch({ health, page: page(OWN) }, OWN);
     await vi.advanceTimersByTimeAsync(1);
     expect(wellness.troubles).toHaveLength(1);
     end();
-    wellness.watch({ health: () => new Promise(() => undefined) });
+    wellness.watch({ health: () => new Promise(() => undefined), page: page(OWN) }, OWN);
     expect([wellness.troubles, health.mock.calls.length]).toEqual([[], 2]);
   });
 
   it('is of another version where it hands out another page, and not where it does not answer or a proxy does', async () => {
     const wellness = new Wellness();
-    const page = (script: string) => () => Promise.resolve(`<head><script type="module" crossorigin src="${script}"></script></head>`);
     const told = async (served: () => Promise<string>): Promise<boolean> => {
-      await wellness.compare({ page: served }, '/assets/index-1.js');
+      await wellness.compare({ page: served }, OWN);
       return wellness.outdated;
     };
-    expect(await told(page('/assets/index-1.js'))).toBe(false);
+    expect(await told(page(OWN))).toBe(false);
     expect(await told(page('/assets/index-2.js'))).toBe(true);
     expect(await told(() => Promise.reject(new Error('away')))).toBe(true);
-    expect(await told(page('/assets/index-1.js'))).toBe(false);
+    expect(await told(page(OWN))).toBe(false);
     expect(await told(() => Promise.resolve('<form>Sign in</form>'))).toBe(false);
     expect(scriptOf('<script type="module" src="/src/main.ts"></script>')).toBe('/src/main.ts');
+  });
+
+  it('is asked which page it hands out until it has said so, once for each link', async () => {
+    const answers = ['', '<form>Sign in</form>'];
+    const served = vi.fn(() => (answers.length > 0 ? Promise.resolve(answers.shift() ?? '') : page('/assets/index-2.js')()));
+    const wellness = new Wellness();
+    const end = wellness.watch({ health: () => Promise.resolve({ status: 'ok', broken: {} }), page: served }, OWN);
+    await vi.advanceTimersByTimeAsync(6_000);
+    expect(wellness.outdated).toBe(false);
+    await vi.advanceTimersByTimeAsync(5_000);
+    expect(wellness.outdated).toBe(true);
+    await vi.advanceTimersByTimeAsync(20_000);
+    expect(served).toHaveBeenCalledTimes(3);
+    end();
   });
 });

@@ -32,19 +32,25 @@ export class Wellness {
   /** Whether the server hands out another console than this page, as after a change of its version. */
   outdated = $state(false);
 
-  /** Looks whether what the server hands out is the page whose script is `own`; without an answer it is what it was. */
-  async compare(api: Pick<Api, 'page'>, own: string | null): Promise<void> {
+  /** Looks whether what the server hands out is the page whose script is `own`; returns whether it handed out any. Without an answer it is what it was. */
+  async compare(api: Pick<Api, 'page'>, own: string | null): Promise<boolean> {
     const served = scriptOf(await api.page().catch(() => ''));
     if (served !== null) this.outdated = served !== own;
+    return served !== null;
   }
 
-  /** Asks until the returned function is called, which is while the link is up: what was so before it broke off may be over. */
-  watch(api: Pick<Api, 'health'>): () => void {
+  /**
+   * Asks until the returned function is called, which is while the link is up: what was so before it broke off may be over.
+   * Whether the page whose script is `own` is still the one that is handed out is asked until that is known.
+   */
+  watch(api: Pick<Api, 'health' | 'page'>, own: string | null): () => void {
     let timer: ReturnType<typeof setTimeout> | undefined;
     let over = false;
+    let compared = false;
     this.troubles = [];
     const ask = async (): Promise<void> => {
       const said = await api.health().catch(() => null);
+      compared ||= await this.compare(api, own);
       if (over) return;
       if (said !== null) this.troubles = troublesOf(said.broken);
       timer = setTimeout(() => void ask(), EVERY_MS);
