@@ -3,24 +3,29 @@
 from __future__ import annotations
 
 import re
+import shutil
+from collections.abc import Iterator
 
 import pytest
-from playwright.sync_api import CDPSession, Locator, expect
+from playwright.sync_api import CDPSession, Locator, Playwright, expect
 
 from app.api.auth import issue_token
 from app.governance.model import Role
 from tests.conftest import ServerProcess, until
 from tests.console.conftest import (
     ANSWERS,
+    FLAGS,
     MAGNIFIED,
     NARROWEST,
     PHONE,
+    PLACES,
     SIDEWAYS,
     SIDEWAYS_SMALL,
     THREE_FRAMES,
     Floor,
     People,
     Person,
+    Windows,
     box,
     far,
     on_top,
@@ -32,6 +37,9 @@ from tests.console.conftest import (
 
 pytestmark = [pytest.mark.browser, pytest.mark.process]
 PRESS_ALL = "(found) => found.forEach((one) => one.click())"
+# What a finger does to a page on a phone, and in Chromium elsewhere only if asked for.
+DRAWS = ("--headless=new", "--pull-to-refresh=1", "--overscroll-history-navigation=1")
+DRAWN_STEPS = 24
 RING_PX = 4  # around what has the focus
 
 
@@ -84,6 +92,29 @@ def test_a_page_that_fingers_magnify_leaves_the_stop_where_and_as_large_as_it_wa
         fingers.send("Emulation.setPageScaleFactor", {"pageScaleFactor": 1})
         fingers.detach()
     until(lambda: box(stop(person)) == before or person.page.wait_for_timeout(20), what="a bar that stands as before")
+
+
+@pytest.fixture
+def drawing(playwright: Playwright) -> Iterator[People]:
+    """People whose browser heeds a finger that draws at a page: Chromium whole, for its shell has none of that."""
+    whole = next(place for name in PLACES if (place := shutil.which(name)) is not None)
+    flags = [*FLAGS, "--disable-3d-apis", *DRAWS]
+    with playwright.chromium.launch(executable_path=whole, headless=False, args=flags) as browser:
+        made = People(Windows(browser))
+        yield made
+        assert made.leave() == []
+
+
+def test_a_finger_that_draws_at_the_page_neither_loads_it_anew_nor_leaves_it(
+    server: ServerProcess, drawing: People, floor: Floor
+) -> None:
+    person = drawing.sit(server, size=PHONE)
+    person.page.evaluate("window.stays = true; location.hash = '#/fleet'")
+    expect(person.page.get_by_role("heading", name="workcell-1")).to_be_visible()
+    for start, end in (((200, 120), (200, 760)), ((200, 30), (200, 760)), ((40, 400), (380, 400))):
+        slide(person, start, end, DRAWN_STEPS)
+        person.page.wait_for_timeout(1_000)  # it would be gone by then
+        assert person.page.evaluate("[window.stays, location.hash]") == [True, "#/fleet"]
 
 
 def test_a_pause_counts_though_the_thumb_slides_off_it(server: ServerProcess, people: People, floor: Floor) -> None:
