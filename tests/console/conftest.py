@@ -84,6 +84,20 @@ ANSWERS = ("^Deny", "^(Approve|Read it first)")
 THREE_FRAMES = """async () => {
     for (let frame = 0; frame < 3; frame += 1) await new Promise((done) => requestAnimationFrame(done));
 }"""
+# Presses what stands where a button has been moved to, in the very frame in which it has been.
+PRESS_ONCE_MOVED = """(button) => {
+    const stood = button.getBoundingClientRect().top;
+    const look = () => {
+        const { left, top, width, height } = button.getBoundingClientRect();
+        if (Math.abs(top - stood) < 20) return requestAnimationFrame(look);
+        const under = document.elementFromPoint(left + width / 2, top + height / 2).closest('button');
+        const how = { bubbles: true, cancelable: true, pointerId: 1, button: 0 };
+        for (const what of ['pointerdown', 'pointerup']) under.dispatchEvent(new PointerEvent(what, how));
+        under.click();
+        window.pressed = under.textContent.trim();
+    };
+    requestAnimationFrame(look);
+}"""
 SLOW_TO_POLISH = """
   - id: slow-to-polish
     applies_to: [grasp_object]

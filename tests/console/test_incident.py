@@ -17,6 +17,7 @@ from tests.console.conftest import (
     ANSWERS,
     DESK,
     PHONE,
+    PRESS_ONCE_MOVED,
     THREE_FRAMES,
     People,
     Person,
@@ -62,23 +63,6 @@ LISTEN = """() => {
     new MutationObserver(() => window.heard.push(alert.textContent)).observe(
         alert, { childList: true, characterData: true, subtree: true });
 }"""
-
-# Presses what stands where Approve has been moved to, in the very frame in which it has been.
-PRESS_ONCE_MOVED = """() => {
-    const button = document.querySelector('.choice .accent');
-    const stood = button.getBoundingClientRect().top;
-    const look = () => {
-        const { left, top, width, height } = button.getBoundingClientRect();
-        if (Math.abs(top - stood) < 20) return requestAnimationFrame(look);
-        const under = document.elementFromPoint(left + width / 2, top + height / 2).closest('button');
-        const how = { bubbles: true, cancelable: true, pointerId: 1, button: 0 };
-        for (const what of ['pointerdown', 'pointerup']) under.dispatchEvent(new PointerEvent(what, how));
-        under.click();
-        window.pressed = under.textContent.trim();
-    };
-    requestAnimationFrame(look);
-}"""
-
 
 def cells_of(server: ServerProcess) -> list[dict[str, Any]]:
     return server.get("/v1/cells")["items"]
@@ -541,7 +525,7 @@ def test_a_banner_that_moves_the_answers_keeps_fingers_off_them_for_a_moment(
     approve = person.button(re.compile("^Approve"))
     expect(approve).to_be_enabled()
     escalation = f"/v1/escalations/{server.get(f'/v1/invocations/{asked}')['escalation']['id']}"
-    person.page.evaluate(PRESS_ONCE_MOVED)
+    approve.evaluate(PRESS_ONCE_MOVED)
     assert server.post("/v1/cells/workcell-1/takeover", key="operator_2").is_success
     # Asked anew each time: what a page would have to evaluate by itself, its policy (unsafe-eval) forbids.
     assert until(lambda: person.page.evaluate("window.pressed"), what="a press").startswith("Approve")

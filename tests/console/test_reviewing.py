@@ -12,7 +12,7 @@ import pytest
 from playwright.sync_api import Locator, Route, expect
 
 from tests.conftest import ServerProcess, Servers, put_in_profile, until
-from tests.console.conftest import PHONE, THREE_FRAMES, Floor, People, Person, box, far
+from tests.console.conftest import PHONE, PRESS_ONCE_MOVED, THREE_FRAMES, Floor, People, Person, box, far
 from tests.console.wire import wire_to
 from tests.test_join import NAME, Hand, online, token_of
 
@@ -349,7 +349,7 @@ def test_of_two_reviewers_one_wins_and_the_other_is_told(
     form.get_by_role("radio", name=re.compile("Inconclusive")).tap()
     elsewhere = other.page.get_by_label("Newest first")
     elsewhere.focus()
-    form.get_by_role("button", name="Record the verdict").tap()
+    one.tap(form.get_by_role("button", name="Record the verdict"))
     expect(queue(other).get_by_role("status")).to_have_text("operator reviewed it: inconclusive.")
     expect(queue(other).get_by_role("form")).to_have_count(0)
     other.page.evaluate(THREE_FRAMES)
@@ -418,6 +418,37 @@ def test_a_late_answer_closes_its_own_form_and_what_was_written_is_kept(
     expect(queue(person)).to_contain_text("inconclusive by operator_2")
 
 
+def test_a_verdict_is_recorded_by_no_finger_that_was_moved_and_of_two_notes_a_double_press_puts_one_away(
+    server: ServerProcess, people: People, floor: Floor, stopped: dict[str, Any]
+) -> None:
+    floor.clear()
+    second = stop_one(server, floor)
+    person = people.sit(server)
+    rows = queue(person).get_by_role("button", name=re.compile("Drive to"))
+    expect(rows).to_have_count(2)
+    note = queue(person).get_by_label("Note for the record")
+    rows.first.click()
+    note.fill("Half a sentence")
+    rows.last.click()
+    note.fill("Another half")
+    form = queue(person).get_by_role("form")
+    expect(form).to_have_accessible_name(f"Verdict on {second['id']}")
+    form.get_by_role("radio", name=re.compile("Objected")).check()
+    record = form.get_by_role("button", name="Record the verdict")
+    expect(record).to_be_enabled()
+    record.evaluate(PRESS_ONCE_MOVED)
+    judge(server, kept(server, stopped), "accepted")
+    until(lambda: person.page.evaluate("window.pressed"), what="a press")
+    expect(record).to_be_enabled()
+    assert kept(server, second)["verdict"] is None
+    judge(server, kept(server, second), "inconclusive")
+    left = queue(person).get_by_text("Your note was not recorded")
+    expect(left).to_have_count(2)
+    person.twice(queue(person).get_by_role("button", name="Understood").first, after_ms=200)
+    expect(left).to_have_count(1)
+    expect(left).to_contain_text("“Half a sentence”")
+
+
 def test_what_became_of_a_review_while_the_link_was_down_is_told_and_the_note_stays(
     server: ServerProcess, people: People, stopped: dict[str, Any]
 ) -> None:
@@ -431,7 +462,7 @@ def test_what_became_of_a_review_while_the_link_was_down_is_told_and_the_note_st
         record = form.get_by_role("button", name="Record the verdict")
         person.page.route("**/v1/reviews/*/resolve", lambda route: route.abort())
         record.focus()
-        person.press("Enter")
+        person.enter(record)
         expect(form.get_by_role("alert")).to_contain_text("it is not known whether your verdict was recorded")
         expect(record).to_be_focused()
         wire.cut()
