@@ -16,7 +16,16 @@ from playwright.sync_api import Locator, Route, expect
 from app.api.auth import issue_token
 from app.governance.model import Role
 from tests.conftest import ServerProcess, Servers, until
-from tests.console.conftest import PHONE, ROOT, THREE_FRAMES, People, Person, at_once, wider_than_the_screen
+from tests.console.conftest import (
+    PHONE,
+    PRESS_ONCE_MOVED,
+    ROOT,
+    THREE_FRAMES,
+    People,
+    Person,
+    at_once,
+    wider_than_the_screen,
+)
 from tests.console.test_access import AXE, COLOURS, EVERYTHING, faults
 from tests.console.test_link import BROKEN
 from tests.console.wire import wire_to
@@ -246,6 +255,24 @@ def test_whoever_loads_the_page_anew_over_a_candidate_is_told_that_it_was_not_se
     person.page.evaluate("location.hash = '#/live'")
     person.page.reload()
     expect(told).to_be_visible()
+
+
+def test_no_finger_that_was_moved_discards_a_candidate(changing: ServerProcess, people: People) -> None:
+    with wire_to(urlsplit(changing.url).port or 0) as wire:
+        person = people.sit(changing, "engineer", at=f"http://127.0.0.1:{wire.port}")
+        person.expects(BROKEN)
+        person.page.evaluate("location.hash = '#/policy/Versions/new'")
+        person.button("Edit what is in force").click()
+        discard = person.button("Discard")
+        expect(discard).to_be_enabled()
+        person.page.get_by_label("Why").fill("for a visit")
+        discard.evaluate(PRESS_ONCE_MOVED)
+        wire.cut()
+        assert until(lambda: person.page.evaluate("window.pressed"), what="a press") == "Discard"
+        expect(person.page.get_by_label("Why")).to_have_value("for a visit")
+        wire.mend()
+        discard.click()
+        expect(discard).to_have_count(0)
 
 
 def test_a_word_is_given_for_the_change_that_was_read_and_for_no_other(changing: ServerProcess, people: People) -> None:
