@@ -19,6 +19,7 @@ from tests.console.conftest import (
     NARROWEST,
     PHONE,
     PLACES,
+    PRESS_ONCE_MOVED,
     SIDEWAYS,
     SIDEWAYS_SMALL,
     THREE_FRAMES,
@@ -408,6 +409,21 @@ def test_the_menu_and_the_list_of_keys_stand_clear_of_the_bar_from_their_first_l
     for line in (listed.get_by_role("button", name="Close"), listed.get_by_role("definition").last):
         line.scroll_into_view_if_needed()
         assert on_top(line)
+
+
+def test_no_finger_signs_out_by_a_menu_that_a_question_has_moved(
+    server: ServerProcess, people: People, floor: Floor
+) -> None:
+    person = people.sit(server, size=PHONE)
+    person.button("Menu").tap()
+    out = person.page.get_by_role("navigation", name="Pages and settings").get_by_role("button", name="Sign out")
+    expect(out).to_be_enabled()
+    out.evaluate(PRESS_ONCE_MOVED)
+    floor.ask()
+    assert until(lambda: person.page.evaluate("window.pressed"), what="a press") == "Sign out"
+    expect(stop(person)).to_be_visible()
+    out.tap()
+    expect(person.page.get_by_label("Token")).to_be_visible()
 
 
 def test_what_somebody_changes_again_is_read_again_before_a_finger_approves_it(
