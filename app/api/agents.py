@@ -110,14 +110,17 @@ def _proposer(asks: Principal, agent: str | None) -> Principal:
 
 
 async def invocation(request: Request, id: Identifier, query: Annotated[WaitQuery, Query()]) -> Response:
-    """Return an invocation, with `wait` at its next change or after so many seconds (at most 60)."""
+    """Return an invocation, with `wait` at its next change or after so many seconds (at most 60).
+
+    Where another request comes behind it on the connection, that is at once.
+    """
     parts, principal = parts_of(request), caller(request)
     if not query.wait:
         return answer(await parts.governor.invocation(id, principal))
     with parts.waits.take(principal.name):
         document = await while_there(request, parts.governor.wait(id, principal, query.wait, query.seen))
-    caller(request)  # who may have had their token withdrawn meanwhile
-    return answer(document)  # which nobody reads, where they have hung up
+    principal = caller(request)  # who may have had their token withdrawn meanwhile
+    return answer(document or await parts.governor.invocation(id, principal))
 
 
 async def invocations(request: Request, query: Annotated[InvocationQuery, Query()]) -> Response:

@@ -24,7 +24,7 @@ from app.api.log import MAX_EVENTS, events
 from app.api.openapi import Answers, answer, declare
 from app.api.parts import parts_of
 from app.api.problems import Problem, as_problem
-from app.api.staying import CUT, until_refused
+from app.api.staying import CUT, until_refused, while_there
 from app.audit.checkpoint import parse_checkpoint
 from app.audit.errors import AuditError, RecordDamaged
 from app.audit.reader import fitting
@@ -200,8 +200,8 @@ async def stream(request: Request, query: Annotated[StreamQuery, Query()]) -> Re
     A client that comes back with `Last-Event-ID` gets everything it missed. A comment is sent every few seconds, so
     that a dead connection shows; a client that does not keep up is cut off, and comes back the same way. One that has
     seen more than this log holds was told by another, and is refused: what it waits for would never come. A stream ends
-    when its token expires or is withdrawn. Where the log cannot be read any further, a last event `problem`, without an
-    `id`, says why.
+    when its token expires or is withdrawn, or another request comes behind it on the connection. Where the log cannot
+    be read any further, a last event `problem`, without an `id`, says why.
     """
     parts = parts_of(request)
     field, after = ("after", query.after)
@@ -210,7 +210,7 @@ async def stream(request: Request, query: Annotated[StreamQuery, Query()]) -> Re
     within_the_log(request, field, after)
     # "From now on" is fixed before the first byte is out, so that what happens meanwhile is not missed.
     let_in = partial(authorize, request, parts.principals, allowed_roles("GET", EVENTS))
-    chunks = _chunks(parts.feed, parts.store.size if after is None else after, let_in)
+    chunks = _chunks(request, parts.feed, parts.store.size if after is None else after, let_in)
     seat = ExitStack()
     seat.enter_context(parts.streams.take(caller(request).name))
     return SeatedStream(seat, chunks, let_in)
@@ -256,18 +256,23 @@ def _last_event_id(request: Request) -> int:
     return int(text)
 
 
-async def _chunks(feed: Feed, after: int, let_in: Callable[[], object]) -> AsyncGenerator[bytes]:
+async def _over(request: Request, let_in: Callable[[], object]) -> None:
+    """Return once a stream's reader may not stay any more, or does not."""
+    await while_there(request, until_refused(let_in))
+
+
+async def _chunks(request: Request, feed: Feed, after: int, let_in: Callable[[], object]) -> AsyncGenerator[bytes]:
     yield b"retry: %d\n\n" % RETRY_MS
     with feed.subscribe(after=after) as subscription:
         batches = aiter(subscription)
         waiting: asyncio.Future[list[Event] | None] | None = None
-        refused = asyncio.ensure_future(until_refused(let_in))
+        over = asyncio.ensure_future(_over(request, let_in))
         try:
             while True:
                 # A wait that ran out must not cancel the iteration, so it goes on as a task of its own.
                 waiting = waiting or asyncio.ensure_future(anext(batches, None))
-                await asyncio.wait({waiting, refused}, timeout=HEARTBEAT_S, return_when=asyncio.FIRST_COMPLETED)
-                if refused.done():  # whoever asks for the rest is told why
+                await asyncio.wait({waiting, over}, timeout=HEARTBEAT_S, return_when=asyncio.FIRST_COMPLETED)
+                if over.done():  # whoever asks for the rest is told why
                     return
                 if not waiting.done():
                     yield HEARTBEAT
@@ -284,7 +289,7 @@ async def _chunks(feed: Feed, after: int, let_in: Callable[[], object]) -> Async
                     yield b"".join(map(as_sse, batch[:count]))
                     batch = batch[count:]
         finally:
-            refused.cancel()
+            over.cancel()
             if waiting is not None:
                 waiting.cancel()
                 await asyncio.wait({waiting})

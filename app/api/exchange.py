@@ -25,18 +25,20 @@ from websockets.http11 import MAX_LINE_LENGTH, MAX_NUM_HEADERS
 
 from app.api.frame import SECURITY_HEADERS
 from app.api.problems import Problem
-from app.api.staying import CUT, GONE, UNREAD
+from app.api.staying import CUT, FOLLOWED, GONE, UNREAD
 
 if TYPE_CHECKING:
     import asyncio
 
     from httptools import HttpRequestParser
+    from uvicorn._types import ASGI3Application
     from uvicorn.protocols.http.httptools_impl import RequestResponseCycle
 
 log = logging.getLogger(__name__)
 log.setLevel(logging.ERROR)  # what anybody may send without a token has no end: it is answered, and makes no noise
 
 FRAMING = (b"content-length", b"transfer-encoding")  # header fields that say that a body follows
+SAYING = ("POST", "PUT")  # methods of requests that say something; by the others somebody asks
 SPARE_BYTES = 64  # of a line, for what is neither name nor value
 HEAD_BYTES = 65_536  # of one request: its line, its header fields, whatever else of it is no body
 LOOK_S: Final = 1.0
@@ -75,6 +77,7 @@ class Exchanges(HttpToolsProtocol):
     _looks = 0  # since the peer last did what it owes
     _left = _stuck = 0  # bytes of an answer that do not leave, and for how many looks
     _looking: asyncio.TimerHandle | None = None
+    _begun: RequestResponseCycle | None = None  # what is being answered, or was last
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         """Begin, and keep an eye on the peer."""
@@ -86,9 +89,21 @@ class Exchanges(HttpToolsProtocol):
             self._make_room()
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """End."""
+        """End; what was said by then, behind a request that was not answered yet, is taken all the same."""
         self._look_away()
         super().connection_lost(exc)
+        if self._begun is not None and not self._begun.response_complete:
+            self._begun.disconnected = True
+            self._begun.message_event.set()
+        while self.pipeline:  # it may be a stop; whatever lets something move finds its speaker gone
+            cycle, app = self.pipeline.pop()
+            if cycle.scope["method"] in SAYING and not cycle.more_body:
+                cycle.transport, cycle.disconnected = cast("asyncio.Transport", Nowhere()), False
+                self._start_asgi_task(cycle, app)
+
+    def _start_asgi_task(self, cycle: RequestResponseCycle, app: ASGI3Application) -> None:
+        self._begun = cycle
+        super()._start_asgi_task(cycle, app)
 
     def data_received(self, data: bytes) -> None:
         """Read what came; what never becomes whole, say a field without an end, is not kept without one either."""
@@ -103,7 +118,7 @@ class Exchanges(HttpToolsProtocol):
         self._owed = HEAD
         super().on_message_begin()
         scope = cast("dict[str, object]", self.scope)
-        scope[CUT], scope[GONE] = self.transport.abort, self.gone
+        scope[CUT], scope[GONE], scope[FOLLOWED] = self.transport.abort, self.gone, self.followed
 
     def gone(self) -> bool:
         """Say whether the peer has ended the connection, or its own side of it.
@@ -116,6 +131,10 @@ class Exchanges(HttpToolsProtocol):
         asked = select.poll()
         asked.register(self.transport.get_extra_info("socket").fileno(), select.POLLRDHUP)
         return bool(asked.poll(0))
+
+    def followed(self) -> bool:
+        """Say whether a request waits until the one before it is answered."""
+        return bool(self.pipeline)
 
     def on_body(self, body: bytes) -> None:
         """Take a part of the body; how much of it is read is a route's matter."""
@@ -144,6 +163,8 @@ class Exchanges(HttpToolsProtocol):
             if cast("HttpRequestParser", self.parser).should_upgrade():  # what follows is not read as HTTP
                 self.cycle.keep_alive = False
                 cast("dict[str, object]", self.scope)[UNREAD] = self._has_body()
+        if self.pipeline:
+            before.message_event.set()  # else nothing is read any more, not even that the peer has gone
 
     def handle_websocket_upgrade(self) -> None:
         """Let a websocket take over, if its reader can read the handshake."""
@@ -273,6 +294,20 @@ class Exchanges(HttpToolsProtocol):
         head = b"".join(name + b": " + value + b"\r\n" for name, value in headers)
         self.transport.write(STATUS_LINE[answer.status_code] + head + b"\r\n" + bytes(answer.body))
         self.transport.close()
+
+
+class Nowhere:
+    """Where the answer to somebody who has gone is written."""
+
+    def write(self, data: bytes) -> None:
+        """Write nothing."""
+
+    def is_closing(self) -> bool:
+        """Say that it is over."""
+        return True
+
+    def close(self) -> None:
+        """Leave it as it is."""
 
 
 class Answer:

@@ -22,6 +22,7 @@ STILL_KNOWN_S: Final = 1.0
 SHOWN_OUT: Final = 4000
 CUT: Final = "reins.cut"  # in the scope of a request: what cuts the connection of a peer that reads no farewell
 GONE: Final = "reins.gone"  # likewise: what says whether its peer has ended the connection
+FOLLOWED: Final = "reins.followed"  # likewise: what says whether another request waits for its end
 UNREAD: Final = "reins.unread"  # likewise: whether it has a body that is not read as one
 
 
@@ -41,13 +42,13 @@ async def until_refused(let_in: Callable[[], object]) -> Problem:
 
 
 async def while_there(request: Request, waiting: Coroutine[Any, Any, T]) -> T | None:
-    """Return what somebody waits for, or None where they have hung up before it came.
+    """Return what somebody waits for, or None where they have hung up, or asked on, before it came.
 
     Args:
         request: theirs, its body read.
         waiting: what they wait for; it is cancelled once nobody does.
     """
-    waited, gone = asyncio.ensure_future(waiting), asyncio.ensure_future(_hung_up(request))
+    waited, gone = asyncio.ensure_future(waiting), asyncio.ensure_future(_waits_no_more(request))
     try:
         await asyncio.wait({waited, gone}, return_when=asyncio.FIRST_COMPLETED)
         return waited.result() if waited.done() else None
@@ -56,8 +57,10 @@ async def while_there(request: Request, waiting: Coroutine[Any, Any, T]) -> T | 
         gone.cancel()
 
 
-async def _hung_up(request: Request) -> None:
-    while (await request.receive())["type"] != "http.disconnect":
+async def _waits_no_more(request: Request) -> None:
+    """Return once whoever made a request, its body read, has hung up or asked on: what came behind it may be a stop."""
+    followed: Callable[[], bool] = request.scope.get(FOLLOWED, bool)
+    while (await request.receive())["type"] != "http.disconnect" and not followed():
         pass
 
 

@@ -193,3 +193,27 @@ async def test_who_waits_is_answered_while_their_token_counts(
             await eventually(lambda: not visited_house.knows(name))
             await agent.post(f"/v1/invocations/{asked}/cancel")
             assert (await waiting).status_code == 401
+
+
+@pytest.mark.parametrize("waited_for", ["/v1/events", "/v1/invocations/{id}?wait=60"])
+@pytest.mark.parametrize("goes", [True, False], ids=["goes", "stays"])
+async def test_what_restrains_does_not_wait_for_what_was_waited_for_before_it(
+    shared_house: House, waited_for: str, goes: bool
+) -> None:
+    address, parts = urlsplit(shared_house.url), shared_house.app.state.parts
+    async with shared_house.cell(), asyncio.timeout(PATIENCE_S):
+        asked = (await ask(shared_house))["invocation"]
+        reader, writer = await asyncio.open_connection(address.hostname, address.port)
+        head = f"HTTP/1.1\r\nHost: x\r\nAuthorization: Bearer {shared_house.token('operator')}\r\n"
+        writer.write(f"GET {waited_for.format(id=asked)} {head}\r\n".encode())
+        if not goes:
+            await eventually(lambda: parts.streams.taken + parts.waits.taken)
+        writer.write(f"POST /v1/invocations/{asked}/cancel {head}Content-Length: 0\r\n\r\n".encode())
+        if goes:
+            writer.close()
+        await eventually(lambda: shared_house.runtime.register.newest(asked) is None)
+        await eventually(lambda: not parts.streams.taken + parts.waits.taken)
+        if not goes:
+            await reader.readuntil(b"HTTP/1.1 200")
+            await reader.readuntil(b"HTTP/1.1 200")
+            writer.close()
