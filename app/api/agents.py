@@ -14,7 +14,7 @@ from starlette.requests import Request
 from starlette.responses import Response
 
 from app.api import documents
-from app.api.access import caller
+from app.api.access import caller, speaker
 from app.api.listing import Digits, Filter, Identifier, PageQuery
 from app.api.openapi import Answers, answer, declare
 from app.api.parts import parts_of
@@ -71,11 +71,11 @@ async def propose(request: Request) -> Response:
     Every proposal that could be read is decided, recorded and answered with 201 and `Location`, refusals included:
     `status` and the reasons say what became of it. The header `Idempotency-Key` (1 to 255 printable characters) makes a
     proposal safe to send again: the answer to the first is given once more, with the header `Idempotency-Replayed:
-    true`.
+    true`. What would launch, or ask people, counts while its agent waits for the answer: `given_up`.
     """
     key = read_idempotency_key(request)
     body = await read_body(request, ProposalBody)
-    document, created = await parts_of(request).governor.propose(caller(request), to_request(body), key)
+    document, created = await parts_of(request).governor.propose(speaker(request), to_request(body), key)
     headers = {"Location": f"/v1/invocations/{document['id']}"}
     if not created:
         headers["Idempotency-Replayed"] = "true"
@@ -182,6 +182,7 @@ def register(router: APIRouter) -> None:
                 "idempotency_key_invalid",
                 "idempotency_mismatch",
                 "in_flight",
+                "given_up",
                 "record_unavailable",
             ),
         ),

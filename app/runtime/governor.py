@@ -30,6 +30,7 @@ from app.runtime.invocation import (
     without_free_text,
 )
 from app.runtime.kernel import REFUSED_OUTCOME
+from app.runtime.overtaken import check_waiting
 from app.runtime.takeover import Takeovers
 from app.runtime.uncut import uncut
 
@@ -80,7 +81,8 @@ class Governor(Takeovers, Controls, CellControls):
 
         Raises:
             InvalidParams: parameters that do not fit the schema, or an unknown cell.
-            Conflict: `in_flight` (the key's first request is not answered yet), `idempotency_mismatch`.
+            Conflict: `in_flight` (the key's first request is not answered yet), `idempotency_mismatch`; `given_up`, it
+                would launch or ask people, and its agent waits for the answer no more: nothing was recorded.
             RecordUnavailable: nothing was recorded and nothing moves.
         """
         if idempotency_key is None:
@@ -122,6 +124,8 @@ class Governor(Takeovers, Controls, CellControls):
         invocation = self._decided(principal, request, params, cell, judgement)
         if judgement.need is not None and (full := self.desk.no_room(principal.name)) is not None:
             invocation = judgement.refuse(invocation, full)
+        if not invocation.final:
+            check_waiting(principal)
         proposal = EventDraft(
             kind=EventKind.PROPOSAL,
             actor=principal.name,

@@ -147,6 +147,17 @@ async def test_what_lets_a_session_move_counts_only_of_who_waits(house: House) -
         assert cell.words == ["pause", "resume", "stop"]
 
 
+async def test_what_an_agent_proposes_counts_only_while_it_waits(house: House) -> None:
+    async with house.cell() as cell, house.client() as agent:
+        before = house.runtime.store.size
+        goes(said(house, "agent", "POST", "/v1/invocations", DRIVE))
+        await asyncio.sleep(MAY_BE_TAKEN_S)
+        assert (house.runtime.store.size, cell.launches) == (before, [])
+        goes(said(house, "agent", "POST", "/v1/invocations", {**DRIVE, "capability": "fly_to"}))
+        await eventually(lambda: house.runtime.store.size > before)  # a refusal moves nothing, and is recorded
+        assert (await agent.post("/v1/invocations", json=DRIVE)).json()["status"] == "running"
+
+
 async def test_what_loosens_for_later_counts_only_of_who_waits(tmp_path: Path) -> None:
     async with (
         open_house(tmp_path, "human-shared") as house,
