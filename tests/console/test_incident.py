@@ -64,6 +64,7 @@ LISTEN = """() => {
         alert, { childList: true, characterData: true, subtree: true });
 }"""
 
+
 def cells_of(server: ServerProcess) -> list[dict[str, Any]]:
     return server.get("/v1/cells")["items"]
 
