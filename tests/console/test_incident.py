@@ -471,6 +471,18 @@ def test_in_an_incident_on_a_phone_answers_and_stop_stay_in_reach(
     expect(cards(person)).to_have_accessible_name(REST[1])
 
 
+def test_on_a_phone_whoever_listens_hears_at_the_answers_which_question_they_are_for(
+    server: ServerProcess, people: People, incident: Incident
+) -> None:
+    person = people.sit(server, size=PHONE)
+    incident.ask("workcell-2", "operate_tool", tool="lever", action="pull_down")
+    expect(person.page.get_by_role("group", name=REST[0]).get_by_role("button", name="Deny")).to_be_focused()
+    incident.ask("workcell-2", "operate_tool", tool="press", action="press")
+    expect(rows(person)).to_have_count(1)
+    person.press("x")
+    expect(person.page.get_by_role("group", name=REST[1]).get_by_role("button", name="Deny")).to_be_focused()
+
+
 @pytest.mark.usefixtures("free_again")
 def test_on_a_phone_a_question_that_comes_or_goes_moves_no_pause_and_no_pad_and_the_stop_names_its_cell(
     server: ServerProcess, people: People, incident: Incident
