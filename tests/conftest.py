@@ -38,7 +38,7 @@ PACE = "10"
 # Servers under test speak no TLS. A client that is not given this reads every certificate there is, and a test that
 # looks fifty times a second would do little else.
 NO_TLS = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
-BEFORE_OTHERS = -10  # how nice they are
+BEFORE_OTHERS = -10  # how nice servers and cells under test are
 LAPSED = b"link down: nothing heard for"
 INTRODUCED = b"\n  console  http"  # the last line of what a server says of itself, which it begins once it answers
 
@@ -113,6 +113,18 @@ def until(condition: Callable[[], Any], within_s: float = PATIENCE_S, what: str 
             pytest.fail(f"not within {within_s} s: {what or condition}")
         time.sleep(step_s)
         step_s = min(STEPS_S, 1.2 * step_s)
+
+
+def put_first(pid: int, nice: int) -> None:
+    """Give a process that began a session its turns before others, where the system permits: as on a robot's computer.
+
+    A cell's lease is 300 ms of real time, whoever else computes. Linux weighs processes within their session alone, and
+    the sessions against each other (sched(7), autogroup): so both are said.
+    """
+    with contextlib.suppress(PermissionError):
+        os.setpriority(os.PRIO_PROCESS, pid, nice)
+    with contextlib.suppress(OSError):
+        Path(f"/proc/{pid}/autogroup").write_text(str(nice), encoding="ascii")
 
 
 @dataclass
@@ -240,10 +252,7 @@ class Servers:
                 env={name: value for name, value in os.environ.items() if not name.startswith("REINS_")},
                 start_new_session=True,
             )
-        # A cell's lease is 300 ms of real time, whoever else computes. Where the system lets us, a server and the cells
-        # that it starts have their turns before the browsers and tests that look at them, as on a robot's computer.
-        with contextlib.suppress(PermissionError):
-            os.setpriority(os.PRIO_PROCESS, process.pid, BEFORE_OTHERS)
+        put_first(process.pid, BEFORE_OTHERS)
         server = ServerProcess(data, process, log)
         self.started.append(server)
         self.logs.add(log)
@@ -252,6 +261,9 @@ class Servers:
     def await_up(self, server: ServerProcess, path: str) -> ServerProcess:
         until(lambda: self._answers(server, path), START_S, f"the server answers at {path}; see {server.log}")
         until(lambda: INTRODUCED in server.log.read_bytes(), START_S, f"it says who it is; see {server.log}")
+        for folder in (server.data / "cells").glob("*"):
+            if pid := running_cell(folder):
+                put_first(pid, BEFORE_OTHERS)
         return server
 
     def _answers(self, server: ServerProcess, path: str) -> bool:

@@ -33,7 +33,7 @@ from playwright.sync_api import (
     sync_playwright,
 )
 
-from tests.conftest import Ahead, ServerProcess, Servers, until
+from tests.conftest import BEFORE_OTHERS, Ahead, ServerProcess, Servers, put_first, until
 
 ROOT = Path(__file__).resolve().parents[2]
 PLACES = ("/usr/lib/chromium/chromium", "chromium", "chromium-browser", "google-chrome")
@@ -531,10 +531,20 @@ def playwright() -> Iterator[Playwright]:
         yield made
 
 
+def before_what_computes(driven: Browser) -> None:
+    """Give a browser its turns before the tests that only compute, but not before servers and cells."""
+    session = driven.new_browser_cdp_session()
+    for process in session.send("SystemInfo.getProcessInfo")["processInfo"]:
+        if process["type"] == "browser":  # the others are of its session
+            put_first(process["id"], BEFORE_OTHERS // 2)
+    session.detach()
+
+
 @pytest.fixture(scope="package")
 def browser(playwright: Playwright) -> Iterator[Browser]:
     """Chromium, headless."""
     with playwright.chromium.launch(executable_path=chromium(), args=list(FLAGS)) as driven:
+        before_what_computes(driven)
         yield driven
 
 
@@ -542,6 +552,7 @@ def browser(playwright: Playwright) -> Iterator[Browser]:
 def flat_browser(playwright: Playwright) -> Iterator[Browser]:
     """Chromium as on a machine that draws no 3D: the console says so, and everything else works."""
     with playwright.chromium.launch(executable_path=chromium(), args=[*FLAGS, "--disable-3d-apis"]) as driven:
+        before_what_computes(driven)
         yield driven
 
 
