@@ -189,10 +189,12 @@ class Exchanges(HttpToolsProtocol):
         self._end(self._too_large() or (HOSTLESS if self._hostless else malformed))
 
     def _should_upgrade(self) -> bool:
-        """Say whether a websocket is wished for: by a GET without a body (RFC 6455 §4.1).
+        """Say whether a websocket is wished for: by a GET without a body (RFC 6455 §4.1), with no answer under way.
 
         Another request is answered as if it had not wished for it, which is a server's to decide (RFC 9110 §7.8).
         """
+        if not self._answered():  # what is still written would be read as frames
+            return False
         if self.scope["method"] != "GET" or self.scope["http_version"] != "1.1" or not super()._should_upgrade():
             return False
         return not self._has_body()

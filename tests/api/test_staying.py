@@ -195,6 +195,21 @@ async def test_who_waits_is_answered_while_their_token_counts(
             assert (await waiting).status_code == 401
 
 
+async def test_no_websocket_is_opened_where_something_else_is_still_being_answered(house: House) -> None:
+    address, streams = urlsplit(house.url), house.app.state.parts.streams
+    reader, writer = await asyncio.open_connection(address.hostname, address.port)
+    head = f"HTTP/1.1\r\nHost: x\r\nAuthorization: Bearer {house.token('operator')}\r\n"
+    wish = "Connection: Upgrade\r\nUpgrade: websocket\r\nSec-WebSocket-Version: 13\r\n"
+    async with asyncio.timeout(PATIENCE_S):
+        writer.write(f"GET /v1/events {head}\r\n".encode())
+        await eventually(lambda: streams.taken)
+        writer.write(f"GET /v1/console {head}{wish}Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n\r\n".encode())
+        answers = await reader.read()
+    assert b"\r\n0\r\n\r\nHTTP/1.1 404" in answers  # as if it had not wished for one
+    writer.close()
+    await eventually(lambda: not streams.taken)
+
+
 @pytest.mark.parametrize("waited_for", ["/v1/events", "/v1/invocations/{id}?wait=60"])
 @pytest.mark.parametrize("goes", [True, False], ids=["goes", "stays"])
 async def test_what_restrains_does_not_wait_for_what_was_waited_for_before_it(
