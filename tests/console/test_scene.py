@@ -153,6 +153,15 @@ def test_who_comes_to_a_robot_that_holds_sees_the_violated_distance_in_red(
         until(lambda: red(person) > RING_PX, within_s=10.0, what="a red ring around the robot")
         person.page.reload()
 
+    # What goes on is seen from as near as all of it allows; the whole cell is one press away, and so is the way back.
+    until(lambda: drawn(person) > MUCH, what="a cell that is drawn")
+    until(lambda: red(person) > RING_PX, what="a red ring around the robot")
+    near = red(person)
+    person.page.get_by_label("View from the corner").click()
+    until(lambda: RING_PX < red(person) < near / 1.5, what="the ring from the cell's corner")
+    person.page.get_by_label("View what goes on").click()
+    until(lambda: red(person) > near / 1.2, what="the ring from as near as before")
+
 
 @pytest.mark.drawn
 def test_the_cell_is_drawn_and_drawn_again_in_either_theme_after_the_graphics_were_lost(
@@ -185,6 +194,7 @@ def test_the_camera_is_turned_by_keys_where_tab_has_led_and_nowhere_else(
     person.page.get_by_label("View from the corner").press("Enter")
     corner = camera(person)
     assert (above["view"], corner["view"]) == ("top", "overview")
+    person.page.get_by_label("View what goes on").focus()
     person.press("Shift+Tab")
     expect(picture).to_be_focused()
     person.press("ArrowLeft")
@@ -224,6 +234,21 @@ def test_the_camera_is_turned_by_keys_where_tab_has_led_and_nowhere_else(
 def test_on_a_phone_the_cell_is_drawn_too(server: ServerProcess, people: People, floor: Floor) -> None:
     person = people.sit(server, size=PHONE)
     until(lambda: drawn(person) > MUCH, what="a cell that is drawn")
+    # Who has pulled at it finds the way back; a mere touch pulls at nothing.
+    picture, back = person.region("The cell in 3D").locator("canvas"), person.page.get_by_label("View what goes on")
+    picture.click(position={"x": 60, "y": 40})
+    assert camera(person)["view"] == "scene"
+    expect(back).to_be_hidden()
+    around = box(picture)
+    person.page.mouse.move(around["x"] + 60, around["y"] + 40)
+    person.page.mouse.down()
+    person.page.mouse.move(around["x"] + 90, around["y"] + 40, steps=3)
+    person.page.mouse.up()
+    expect(back).to_be_visible()
+    assert camera(person)["view"] is None
+    back.click()
+    expect(back).to_be_hidden()
+    assert camera(person)["view"] == "scene"
 
 
 def test_a_browser_without_3d_says_so_and_shows_the_rest(server: ServerProcess, people: People, floor: Floor) -> None:

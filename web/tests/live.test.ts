@@ -214,7 +214,7 @@ describe('trouble in the scene', () => {
   const near = { separationM: 0.84, neededM: 1.02, zoneMarginM: 1 };
 
   it('is a person nearer than the protective separation', () => {
-    expect(troubleOf(cell({ status: 'paused' }), near, scene).words).toEqual({ strong: '0.84 m', text: 'to a person. Robot needs 1.02 m and has stopped moving.' });
+    expect(troubleOf(cell({ status: 'paused' }), near, scene).words).toEqual({ strong: '0.84 m', text: 'to a person. Robot needs 1.02 m and has stopped moving.', brief: 'to a person, needs 1.02 m. Stopped.' });
     expect(troubleOf(cell({}), { ...near, separationM: 1.02 }, scene).separation).toBe(false);
   });
 

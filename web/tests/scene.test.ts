@@ -1,7 +1,7 @@
 import { PerspectiveCamera, Vector3 } from 'three';
 import { clear, within } from '../src/lib/scene/labels';
 import { describe, expect, it } from 'vitest';
-import { fitted } from '../src/lib/scene/camera';
+import { fitted, framed, outlineOf, seesAll, wholeCell, type Covered, type Scenery } from '../src/lib/scene/framing';
 import { gapTo, guardAt, leastGap, outline, type Guard, type Spot } from '../src/lib/scene/separation';
 
 const BOUNDS = [0, 0, 8, 6] as const;
@@ -9,7 +9,7 @@ const BOUNDS = [0, 0, 8, 6] as const;
 function extent(from: Vector3, aspect: number): { x: number; y: number } {
   const camera = new PerspectiveCamera(38, aspect, 0.1, 80);
   camera.up.set(0, 0, 1);
-  const { position, target } = fitted(BOUNDS, from, 38, aspect);
+  const { position, target } = fitted(wholeCell(BOUNDS), from, 38, aspect);
   camera.position.copy(position);
   camera.lookAt(target);
   camera.updateMatrixWorld();
@@ -27,6 +27,40 @@ describe('the camera that shows a whole cell', () => {
       });
     }
   }
+});
+
+describe('the camera that shows what goes on', () => {
+  const ALONE: Scenery = { robot: [1.6, 4.3], reachM: 1.4, people: [], path: [], things: [] };
+  const BUSY: Scenery = { ...ALONE, people: [[2.7, 3.5], [7.4, 0.9]], path: [[1.6, 4.3], [5, 3.2]], things: [new Vector3(1.4, 5.1, 0.8)] };
+
+  function looking(scenery: Scenery, aspect: number, covered: Covered): PerspectiveCamera {
+    const camera = new PerspectiveCamera(38, aspect, 0.1, 80);
+    camera.up.set(0, 0, 1);
+    const { position, target } = framed(outlineOf(scenery), new Vector3(-0.36, -0.6, 0.4), camera, covered);
+    camera.position.copy(position);
+    camera.lookAt(target);
+    return camera;
+  }
+
+  it.each([0.6, 0.94, 2.6])('sees the robot, everybody, the path and the thing, clear of what lies over the picture (%d)', (aspect) => {
+    for (const covered of [{ above: 0, below: 0 }, { above: 0.1, below: 0.12 }, { above: 0, below: 0.3 }]) {
+      expect(seesAll(looking(BUSY, aspect, covered), outlineOf(BUSY), covered)).toBe(true);
+    }
+  });
+
+  it('needs not move for a step of somebody, and has to for somebody who comes from elsewhere', () => {
+    const covered = { above: 0.1, below: 0.12 };
+    const camera = looking({ ...ALONE, people: [[4.2, 4]] }, 0.94, covered);
+    const standing = (at: Spot): boolean => seesAll(camera, outlineOf({ ...ALONE, people: [at] }), covered);
+    expect([standing([4.2, 4]), standing([4.4, 4]), standing([4.1, 4.2]), standing([6, 4.3])]).toEqual([true, true, true, false]);
+  });
+
+  it('is nearer where less goes on, but leaves what the robot stands among in sight', () => {
+    const far = (scenery: Scenery): number => looking(scenery, 0.94, { above: 0, below: 0 }).position.distanceTo(new Vector3(1.6, 4.3, 0));
+    const near = far({ ...ALONE, path: [[1.6, 4.3], [1.8, 4.3]] });
+    expect(near).toBeLessThan(far(ALONE));
+    expect(far(ALONE)).toBeLessThan(far(BUSY));
+  });
 });
 
 describe('a name in the scene', () => {

@@ -8,8 +8,8 @@ export interface SceneTrouble {
   /** The distance that is too small; null where none is. */
   figure: string | null;
   zones: ReadonlySet<string>;
-  /** In words, the measured value first; null where nothing is wrong. */
-  words: { strong: string; text: string } | null;
+  /** In words, the measured value first, and briefly for where they would cover the picture; null where nothing is wrong. */
+  words: { strong: string; text: string; brief: string } | null;
 }
 
 const FINE: SceneTrouble = { separation: false, figure: null, zones: new Set(), words: null };
@@ -51,13 +51,20 @@ export function troubleOf(cell: Cell | null, near: Near, scene: Scene | null): S
 
 function tooNear(cell: Cell, { separationM, neededM }: Near): SceneTrouble | null {
   if (separationM === null || neededM === null || separationM >= neededM) return null;
-  const halted = cell.status === 'running' ? 'and is being stopped.' : `and has stopped moving.${afterwards(cell)}`;
+  const running = cell.status === 'running';
+  const after = running ? '' : afterwards(cell);
+  const halted = running ? 'and is being stopped.' : 'and has stopped moving.';
+  const needed = `${neededM.toFixed(2)} m`;
   const figure = `${separationM.toFixed(2)} m`;
   return {
     separation: true,
     figure,
     zones: new Set(),
-    words: { strong: figure, text: `to a person. Robot needs ${neededM.toFixed(2)} m ${halted}` },
+    words: {
+      strong: figure,
+      text: `to a person. Robot needs ${needed} ${halted}${after}`,
+      brief: `to a person, needs ${needed}. ${running ? 'Stopping.' : 'Stopped.'}${after}`,
+    },
   };
 }
 
@@ -75,5 +82,6 @@ function intoZone(cell: Cell, { zoneMarginM }: Near, scene: Scene): SceneTrouble
   const [x = 0, y = 0] = cell.facts?.base ?? [];
   const here = zonesAt(scene, x, y).filter((name) => guarded.has(name));
   const zones = new Set(here.length > 0 ? here : guarded);
-  return { separation: false, figure: null, zones, words: { strong: 'Zone:', text: `the robot cannot stop outside ${[...zones].join(', ')}.` } };
+  const text = `the robot cannot stop outside ${[...zones].join(', ')}.`;
+  return { separation: false, figure: null, zones, words: { strong: 'Zone:', text, brief: text } };
 }

@@ -24,13 +24,15 @@ export interface Bodies {
 }
 
 const PERSON = /^person_\d+/;
+/** Half a side of a box whose edges are worth a line of their own while it moves, m. */
+const LARGE_M = 0.08;
 
 export function isPerson(body: string): boolean {
   return PERSON.test(body);
 }
 
 /**
- * Builds every shape of a scene except its floor plane, coloured by the theme: things in grey, people in amber.
+ * Builds every shape of a scene except its floor plane, coloured by the theme: things in grey, people in amber; large boxes with their edges.
  *
  * What moves together and looks alike is one thing to draw: without a graphics card each costs as much as its pixels.
  */
@@ -47,7 +49,7 @@ class Sorted {
   private readonly root = new Group();
   private readonly byName = new Map<string, Group>();
   private readonly fills = new Map<Group, Map<Color, BufferGeometry[]>>();
-  private readonly edges: BufferGeometry[] = [];
+  private readonly edges = new Map<Group, BufferGeometry[]>();
   private readonly moving: ReadonlySet<string>;
 
   constructor(private readonly scene: Scene, bodies: readonly string[], private readonly palette: Palette) {
@@ -61,16 +63,20 @@ class Sorted {
     const color = colorOf(shape, this.palette, moves);
     const still = this.isStill(shape.body);
     if (still) geometry.applyMatrix4(body.matrix);
-    if (still && !moves && shape.shape === 'box') this.edges.push(new EdgesGeometry(geometry));
-    this.fill(still ? this.root : body, color, geometry);
+    const group = still ? this.root : body;
+    if (shape.shape === 'box' && ((still && !moves) || Math.min(...shape.size) >= LARGE_M)) {
+      this.edges.set(group, [...(this.edges.get(group) ?? []), new EdgesGeometry(geometry)]);
+    }
+    this.fill(group, color, geometry);
   }
 
   drawn(): Bodies {
     for (const [group, alike] of this.fills) {
       for (const [color, geometries] of alike) group.add(new Mesh(joined(geometries), new MeshLambertMaterial({ color })));
     }
-    if (this.edges.length > 0) {
-      this.root.add(new LineSegments(joined(this.edges), new LineBasicMaterial({ color: this.palette.line, transparent: true, opacity: 0.25 })));
+    for (const [group, edges] of this.edges) {
+      const opacity = group === this.root ? 0.25 : 0.6;
+      group.add(new LineSegments(joined(edges), new LineBasicMaterial({ color: this.palette.line, transparent: true, opacity })));
     }
     return { root: this.root, byName: this.byName };
   }
@@ -128,7 +134,7 @@ function geometryOf(shape: Shape): BufferGeometry {
 }
 
 function colorOf(shape: Shape, palette: Palette, moves: boolean): Color {
-  if (isPerson(shape.body)) return palette.warn;
+  if (isPerson(shape.body)) return palette.person;
   if (!moves) return palette.furniture;
   const [red = 0, green = 0, blue = 0] = shape.rgba;
   // The model paints its robot in near-black and near-white; on either theme that would vanish.

@@ -1,19 +1,22 @@
 import { OrbitControls } from 'three/examples/jsm/controls/OrbitControls.js';
 import { MathUtils, PerspectiveCamera, Vector3 } from 'three';
 import { tab } from '../state/tab';
+import { fitted, framed, seesAll, UNCOVERED, wholeCell, type Covered } from './framing';
 
-export type View = 'overview' | 'top' | 'follow';
+/** What goes on, the whole cell from its corner or from above, or the robot wherever it drives. */
+export type View = 'scene' | 'overview' | 'top' | 'follow';
 type Bounds = readonly [number, number, number, number];
 
 const KEY = 'reins.camera';
-/** From where a view looks at the middle of the cell, of any length. A flat window is filled best from low down. */
+/** From where a view looks at the middle of what it shows, of any length. A flat window is filled best from low down. */
 const FROM = {
+  scene: (aspect: number): Vector3 => new Vector3(-0.36, -0.6, MathUtils.clamp(0.5 / aspect, 0.3, 0.5)),
   overview: (aspect: number): Vector3 => new Vector3(-0.14, -0.62, MathUtils.clamp(0.8 / aspect, 0.38, 0.8)),
   top: (): Vector3 => new Vector3(0, -0.001, 1),
 } as const;
-/** What stands in a cell is about so high, m. */
-const TALL_M = 1.3;
-const MARGIN = 0.94;
+/** How soon the camera is where it goes by itself: in this time, ms, it has come so much nearer as e is more than 1. */
+const EASE_MS = 160;
+const THERE_M = 0.004;
 const TURN_RAD = MathUtils.degToRad(5);
 const NEARER = 0.9;
 /** From where the robot is followed, and at which height it is looked at, m. */
@@ -31,20 +34,30 @@ interface Kept {
 export class CameraRig {
   readonly camera = new PerspectiveCamera(38, 1, 0.1, 80);
   readonly controls: OrbitControls;
-  private chosen: View | null = 'overview';
-  private bounds: Bounds = [0, 0, 8, 6];
+  private chosen: View | null = 'scene';
+  private bounds: Bounds | null = null;
+  /** What the scene is made of, as the points that have to be seen; nothing before it is known. */
+  private outline: readonly Vector3[] = [];
+  private covered: Covered = UNCOVERED;
+  /** Where the camera goes by itself. */
+  private goal: { position: Vector3; target: Vector3 } | null = null;
+  private wentMs = 0;
+  /** Whether who has hold of the picture has moved it: null while nobody has. */
+  private pulled: boolean | null = null;
   /** Where it stood before it was lent to somebody who drives. */
   private lent: Kept | null = null;
 
-  constructor(canvas: HTMLElement, private readonly moved: () => void) {
+  /** `moved` hears when another picture is due, `chose` which view is on: null once somebody has steered. */
+  constructor(canvas: HTMLElement, private readonly moved: () => void, private readonly chose: (view: View | null) => void) {
     this.camera.up.set(0, 0, 1);
     this.controls = new OrbitControls(this.camera, canvas);
     this.controls.enableDamping = false;
     this.controls.maxPolarAngle = MathUtils.degToRad(87);
     this.controls.minDistance = 1;
     this.controls.maxDistance = 30;
-    this.controls.addEventListener('change', moved);
-    this.controls.addEventListener('end', () => this.steered());
+    this.controls.addEventListener('change', () => this.changed());
+    this.controls.addEventListener('start', () => (this.pulled = false));
+    this.controls.addEventListener('end', () => this.letGo());
     canvas.addEventListener('keydown', (event) => this.press(event));
     // Who pulls at it with the mouse has not gone there: arrows go on stepping through a record.
     canvas.addEventListener('focus', () => canvas.matches(':focus-visible') || canvas.blur());
@@ -67,18 +80,83 @@ export class CameraRig {
     this.steered();
   }
 
+  private changed(): void {
+    if (this.pulled !== null) this.pulled = true;
+    this.moved();
+  }
+
+  private letGo(): void {
+    const pulled = this.pulled === true;
+    this.pulled = null;
+    if (pulled) this.steered();
+    else this.moved();
+  }
+
   private steered(): void {
-    if (this.chosen !== 'follow') this.chosen = null;
+    this.goal = null;
+    if (this.chosen !== 'follow') this.choose(null);
     this.keep();
   }
 
-  /** Frames a cell of these bounds, unless this tab remembers where its camera stood. */
+  private choose(view: View | null): void {
+    this.chosen = view;
+    this.chose(view);
+  }
+
+  /** Has another cell before it, of these bounds; the first is framed, unless this tab remembers where its camera stood. */
   frame(bounds: Bounds): void {
+    const first = this.bounds === null;
     this.bounds = bounds;
-    if (this.lent !== null) return;
+    this.outline = [];
+    if (!first || this.lent !== null) return;
     const kept = read();
-    if (kept === null) this.view('overview');
+    if (kept === null) this.view('scene');
     else this.restore(kept);
+  }
+
+  /** Shows all of what goes on, where that is the view that was chosen: what was not in it before, or what was left of it. */
+  show(outline: readonly Vector3[], anew: boolean): void {
+    const first = this.outline.length === 0;
+    this.outline = outline;
+    if (this.chosen !== 'scene' || (!anew && !first && this.seen(outline))) return;
+    const goal = framed(outline, FROM.scene(this.camera.aspect), this.camera, this.covered);
+    if (first || matchMedia('(prefers-reduced-motion: reduce)').matches) this.put(goal.position, goal.target);
+    else this.goTo(goal);
+  }
+
+  /** Where the camera is, or is about to be. */
+  private seen(outline: readonly Vector3[]): boolean {
+    if (this.goal === null) return seesAll(this.camera, outline, this.covered);
+    const there = this.camera.clone();
+    there.position.copy(this.goal.position);
+    there.lookAt(this.goal.target);
+    return seesAll(there, outline, this.covered);
+  }
+
+  private goTo(goal: { position: Vector3; target: Vector3 }): void {
+    if (this.goal === null) this.wentMs = performance.now();
+    this.goal = goal;
+    this.moved();
+  }
+
+  /** Goes on to where the camera goes by itself, and says whether it is still on its way. */
+  advance(nowMs: number): boolean {
+    if (this.goal === null || this.pulled !== null) return false;
+    const { position, target } = this.goal;
+    const part = 1 - Math.exp(-Math.max(0, nowMs - this.wentMs) / EASE_MS);
+    this.wentMs = Math.max(this.wentMs, nowMs);
+    this.camera.position.lerp(position, part);
+    this.controls.target.lerp(target, part);
+    if (this.camera.position.distanceTo(position) < THERE_M) this.goal = null;
+    this.controls.update();
+    return this.goal !== null;
+  }
+
+  /** Something lies over the picture, or does not any more. */
+  cover(covered: Covered): void {
+    if (covered.above === this.covered.above && covered.below === this.covered.below) return;
+    this.covered = covered;
+    this.fitAgain();
   }
 
   /** Goes to the robot for as long as somebody drives it, whatever was chosen; then back. What is kept stays as it was. */
@@ -87,7 +165,7 @@ export class CameraRig {
     const before = this.lent;
     if (before === null) {
       this.lent = this.stand();
-      this.goTo(robot);
+      this.goBehind(robot);
     } else {
       this.lent = null;
       this.restore(before);
@@ -95,8 +173,8 @@ export class CameraRig {
   }
 
   view(view: View, robot?: Vector3): void {
-    this.chosen = view;
-    if (view === 'follow' && robot !== undefined) this.goTo(robot);
+    this.choose(view);
+    if (view === 'follow' && robot !== undefined) this.goBehind(robot);
     else if (view !== 'follow') this.fit(view);
     this.keep();
   }
@@ -114,7 +192,7 @@ export class CameraRig {
   resize(width: number, height: number): void {
     this.camera.aspect = width / height;
     this.camera.updateProjectionMatrix();
-    if (this.chosen === 'overview' || this.chosen === 'top') this.fit(this.chosen);
+    this.fitAgain();
     this.moved();
   }
 
@@ -122,27 +200,37 @@ export class CameraRig {
     this.controls.dispose();
   }
 
-  private fit(view: 'overview' | 'top'): void {
+  private fitAgain(): void {
+    if (this.chosen !== null && this.chosen !== 'follow') this.fit(this.chosen);
+  }
+
+  private fit(view: 'scene' | 'overview' | 'top'): void {
+    if (this.bounds === null) return;
     const { aspect, fov } = this.camera;
-    const { position, target } = fitted(this.bounds, FROM[view](aspect), fov, aspect);
+    const from = FROM[view](aspect);
+    const { position, target } =
+      view === 'scene' && this.outline.length > 0
+        ? framed(this.outline, from, this.camera, this.covered)
+        : fitted(wholeCell(this.bounds), from, fov, aspect, this.covered);
     this.put(position, target);
   }
 
   private put(position: Vector3, target: Vector3): void {
+    this.goal = null;
     this.camera.position.copy(position);
     this.controls.target.copy(target);
     this.controls.update();
     this.moved();
   }
 
-  private goTo(robot: Vector3): void {
-    this.chosen = 'follow';
+  private goBehind(robot: Vector3): void {
+    this.choose('follow');
     this.put(robot.clone().setZ(0).add(BEHIND), new Vector3(robot.x, robot.y, WAIST_M));
   }
 
   private restore(kept: Kept): void {
-    this.chosen = kept.view;
-    if (kept.view === 'overview' || kept.view === 'top') this.fit(kept.view);
+    this.choose(kept.view);
+    if (kept.view !== null && kept.view !== 'follow') this.fit(kept.view);
     else this.put(new Vector3().fromArray(kept.position), new Vector3().fromArray(kept.target));
   }
 
@@ -153,30 +241,6 @@ export class CameraRig {
   private keep(): void {
     if (this.lent === null) tab.write(KEY, JSON.stringify(this.stand()));
   }
-}
-
-/**
- * Returns from where, and at what, a camera sees the whole cell as large as the window allows, looking from a direction.
- *
- * With x, y, z the corners along the camera's right, up and forward axes, a camera at distance D whose axis is shifted by c
- * sees a corner where |x − c| ≤ (D + z)·tan(half the field of view): two extremes give the smallest D and the c between.
- */
-export function fitted(bounds: Bounds, from: Vector3, fovDeg: number, aspect: number): { position: Vector3; target: Vector3 } {
-  const [x0, y0, x1, y1] = bounds;
-  const centre = new Vector3((x0 + x1) / 2, (y0 + y1) / 2, TALL_M / 2);
-  const forward = from.clone().normalize().negate();
-  const right = new Vector3().crossVectors(forward, new Vector3(0, 0, 1)).normalize();
-  const up = new Vector3().crossVectors(right, forward);
-  const corners = [x0, x1].flatMap((x) => [y0, y1].flatMap((y) => [0, TALL_M].map((z) => new Vector3(x, y, z).sub(centre))));
-  const tan = Math.tan(MathUtils.degToRad(fovDeg / 2)) * MARGIN;
-  const along = (axis: Vector3, slope: number): { far: number; shift: number } => {
-    const high = Math.max(...corners.map((corner) => corner.dot(axis) - corner.dot(forward) * slope));
-    const low = Math.max(...corners.map((corner) => -corner.dot(axis) - corner.dot(forward) * slope));
-    return { far: (high + low) / (2 * slope), shift: (high - low) / 2 };
-  };
-  const [across, upright] = [along(right, tan * aspect), along(up, tan)];
-  const target = centre.addScaledVector(right, across.shift).addScaledVector(up, upright.shift);
-  return { position: target.clone().addScaledVector(forward, -Math.max(across.far, upright.far)), target };
 }
 
 function read(): Kept | null {

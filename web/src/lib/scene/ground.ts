@@ -19,6 +19,7 @@ import type { Scene, ZoneShape } from '../socket/messages';
 import type { Palette } from './palette';
 
 const HATCH_M = 0.14;
+const SHADOW_STEPS = 40;
 
 /** The floor with its grid, and the zones painted on it: forbidden hatched, restricted and shared outlined. */
 export function buildGround(scene: Scene, palette: Palette, violated: ReadonlySet<string>): Group {
@@ -27,6 +28,15 @@ export function buildGround(scene: Scene, palette: Palette, violated: ReadonlySe
   ground.add(filled([[x0, y0], [x1, y0], [x1, y1], [x0, y1]], palette.floor, 1, -0.004), grid(scene.bounds_m, palette));
   for (const zone of scene.zones) ground.add(zoneOf(zone, palette, violated.has(zone.name)));
   return ground;
+}
+
+/** What something casts that stands on the floor, as if lit from straight above: without it things seem to float. */
+export function shadow(radiusM: number, palette: Palette): Mesh {
+  const rim = Array.from({ length: SHADOW_STEPS }, (_, k): [number, number] => {
+    const angle = (k * 2 * Math.PI) / SHADOW_STEPS;
+    return [radiusM * Math.cos(angle), radiusM * Math.sin(angle)];
+  });
+  return filled(rim, palette.shade, 0.22, 0.006);
 }
 
 function grid([x0, y0, x1, y1]: Scene['bounds_m'], palette: Palette): LineSegments {

@@ -5,6 +5,8 @@ export interface Label {
   text: string;
   at: Vector3;
   tone: 'plain' | 'accent' | 'warn' | 'danger';
+  /** A figure that is read first stands in a box. */
+  boxed?: boolean;
 }
 
 /** Which names stand where several would cover each other. */
@@ -12,6 +14,7 @@ const WEIGHT: Record<Label['tone'], number> = { danger: 3, warn: 2, accent: 1, p
 const LINE_PX = 15;
 const LETTER_PX = 6.8;
 const EDGE_PX = 6;
+const BOX_PX = 12;
 /** As much as a space beside a word: names that touch are read as one. */
 const APART_PX = 8;
 
@@ -64,8 +67,9 @@ export class Labels {
     }
     if (element.textContent !== label.text) element.textContent = label.text;
     element.dataset['tone'] = label.tone;
+    element.classList.toggle('boxed', label.boxed === true);
     this.point.copy(label.at).project(camera);
-    const half = (label.text.length * LETTER_PX) / 2;
+    const half = (label.text.length * LETTER_PX) / 2 + (label.boxed === true ? BOX_PX : 0);
     const x = within(((this.point.x + 1) / 2) * width, half + EDGE_PX, width);
     const y = ((1 - this.point.y) / 2) * height;
     if (x === null) {

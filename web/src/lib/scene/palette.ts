@@ -9,6 +9,8 @@ export interface Palette {
   body: Color;
   light: Color;
   furniture: Color;
+  person: Color;
+  shade: Color;
   accent: Color;
   danger: Color;
   warn: Color;
@@ -24,9 +26,12 @@ export function readPalette(): Palette {
     floor: color('--view-floor'),
     grid: color('--view-grid'),
     line: color('--t3'),
-    body: new Color(dark ? '#5A6B7F' : '#46505C'),
-    light: new Color(dark ? '#C9D3DE' : '#9FADBC'),
+    body: new Color(dark ? '#5A6B7F' : '#5B6B7C'),
+    light: new Color(dark ? '#C9D3DE' : '#8796A6'),
     furniture: new Color(dark ? '#4A5561' : '#A9B4C0'),
+    // The amber of words is too dark for a figure in light: this one still stands out from the floor, 3.7:1.
+    person: dark ? color('--warn') : new Color('#A86F10'),
+    shade: new Color(dark ? '#000000' : '#4A5561'),
     accent: color('--accent'),
     danger: color('--danger'),
     warn: color('--warn'),

@@ -1,14 +1,15 @@
-import { Box3, DirectionalLight, Group, HemisphereLight, Scene as World, Vector3, WebGLRenderer } from 'three';
+import { Box3, DirectionalLight, Group, HemisphereLight, Scene as World, type Mesh, Vector3, WebGLRenderer } from 'three';
 import type { SceneInfo } from '../state/drawn';
 import type { PoseFrame } from '../socket/frame';
 import { buildBodies, dispose, isPerson, place as put, type Bodies } from './build';
 import { CameraRig, type View } from './camera';
-import { buildGround } from './ground';
+import { buildGround, shadow } from './ground';
+import { outlineOf, type Covered } from './framing';
 import { Labels, type Label } from './labels';
 import { moved } from './motion';
 import { Overlay } from './overlay';
 import { readPalette, type Palette } from './palette';
-import { guardAt, leastGap, MEASURED, type Gap, type Spot } from './separation';
+import { guardAt, leastGap, MEASURED, type Gap, type Guard, type Spot } from './separation';
 
 const SLOW_MS = 60;
 const QUICK_MS = 20;
@@ -19,6 +20,8 @@ const NAMED_FURNITURE = /^(.*)_body$/;
 const HEAD_M = 0.28;
 const BESIDE_M = 0.62;
 const FIGURE_M = 0.3;
+const ROBOT_SHADOW_M = 0.5;
+const PERSON_SHADOW_M = 0.3;
 
 /** What is wrong at this moment, for highlighting. */
 export interface Trouble {
@@ -52,6 +55,9 @@ export class CellView {
   private last: PoseFrame | null = null;
   /** To the person who is too near. */
   private gap: Gap | null = null;
+  private guard: Guard | null = null;
+  /** What the picture showed last, by name: where that changes, it is framed anew. */
+  private shown = '';
   private dirty = true;
   private request = 0;
   private readonly ratio: number;
@@ -59,9 +65,13 @@ export class CellView {
   private fence: WebGLSync | null = null;
   private fencedMs = 0;
   private readonly robot = new Vector3();
+  private readonly shadows = new Map<string, Mesh>();
 
-  /** `lost` hears when the graphics card has dropped the picture: it takes another view to draw again. */
-  constructor(private readonly host: HTMLElement, layer: HTMLElement, private readonly lost: () => void = () => undefined) {
+  /**
+   * `lost` hears when the graphics card has dropped the picture: it takes another view to draw again; `chose` hears which
+   * view is on, null once somebody has steered.
+   */
+  constructor(private readonly host: HTMLElement, layer: HTMLElement, private readonly lost: () => void, chose: (view: View | null) => void) {
     const soft = drawnBy() === 'processor';
     this.renderer = new WebGLRenderer({ antialias: !soft, powerPreference: 'high-performance' });
     this.ratio = soft ? 1 : Math.min(devicePixelRatio, 2);
@@ -69,7 +79,7 @@ export class CellView {
     this.host.prepend(this.canvas);
     Object.assign(this.canvas, { tabIndex: 0, role: 'application', ariaLabel: 'Camera: arrow keys turn it, + and - go nearer and away' });
     this.canvas.addEventListener('webglcontextlost', this.lost);
-    this.rig = new CameraRig(this.renderer.domElement, () => this.draw());
+    this.rig = new CameraRig(this.renderer.domElement, () => this.draw(), chose);
     this.labels = new Labels(layer);
     const sun = new DirectionalLight('#ffffff', 1.7);
     sun.position.set(-3, -6, 9);
@@ -82,16 +92,16 @@ export class CellView {
   }
 
   setScene(info: SceneInfo): void {
-    const sameCell = this.info !== null;
     this.info = info;
     this.last = null;
     this.rebuild();
-    if (!sameCell) this.rig.frame(info.scene.bounds_m);
+    this.rig.frame(info.scene.bounds_m);
   }
 
   setPath(points: readonly [number, number][]): void {
     this.path = points;
     this.overlay.setPath(points);
+    this.show();
     this.draw();
   }
 
@@ -131,16 +141,26 @@ export class CellView {
       const seen = isHere(info, frame.poses, k * 7);
       body.visible = seen;
       if (seen) put(body, frame.poses, k * 7);
+      this.cast(name, body);
       if (name === 'base') this.robot.copy(body.position);
     });
     this.drawSeparation(frame, info);
     this.rig.follow(this.robot);
+    this.show();
     this.draw();
+  }
+
+  private cast(name: string, body: Group): void {
+    const shadow = this.shadows.get(name);
+    if (shadow === undefined) return;
+    shadow.visible = body.visible;
+    shadow.position.setX(body.position.x).setY(body.position.y);
   }
 
   /** Names the things a session is about; everything else on the benches goes without a name. */
   setSubjects(names: ReadonlySet<string>): void {
     this.subjects = names;
+    this.show();
     this.draw();
   }
 
@@ -151,6 +171,11 @@ export class CellView {
   /** Goes to the robot and with it, for as long as somebody drives it; then back to where the camera stood. */
   attend(on: boolean): void {
     this.rig.attend(on, this.robot);
+  }
+
+  /** Something lies over the picture: what is shown is put where nothing does. */
+  cover(covered: Covered): void {
+    this.rig.cover(covered);
   }
 
   resize(width: number, height: number): void {
@@ -179,6 +204,15 @@ export class CellView {
     this.world.background = this.palette.background;
     this.bodies = buildBodies(this.info.scene, this.info.bodies, this.palette);
     this.ground = buildGround(this.info.scene, this.palette, this.trouble.zones);
+    this.shadows.clear();
+    for (const name of this.bodies.byName.keys()) {
+      const radiusM = name === 'base' ? ROBOT_SHADOW_M : isTorso(name) ? PERSON_SHADOW_M : 0;
+      if (radiusM > 0) this.shadows.set(name, shadow(radiusM, this.palette));
+    }
+    this.shadows.forEach((cast) => {
+      cast.visible = false; // until it is known where what casts it stands
+      this.ground.add(cast);
+    });
     this.world.add(this.ground, this.bodies.root);
     if (this.last !== null) this.place(this.last, this.info);
     this.draw();
@@ -192,14 +226,27 @@ export class CellView {
     const base = this.bodies.byName.get('base');
     const guard = base?.visible === true ? guardAt([base.position.x, base.position.y], yawOf(base), gauge) : null;
     this.gap = guard === null || !this.trouble.separation ? null : leastGap(guard, this.people().map(({ x, y }): Spot => [x, y]));
+    this.guard = guard;
     this.overlay.separation(guard, this.trouble.separation);
     this.overlay.tieTo(this.gap);
+  }
+
+  /** Has the camera show what goes on. */
+  private show(): void {
+    if (this.bodies.byName.get('base')?.visible !== true) return;
+    const people = this.people().map(({ x, y }): Spot => [x, y]);
+    const things = [...this.subjects].flatMap((name) => this.bodies.byName.get(name) ?? []).filter((body) => body.visible);
+    const shown = JSON.stringify([this.path, people.length, things.map(({ name }) => name)]);
+    const reachM = this.guard === null ? 0 : this.guard.hullM + this.guard.neededM;
+    const scenery = { robot: [this.robot.x, this.robot.y] as const, reachM, people, path: this.path, things: things.map(({ position }) => position) };
+    this.rig.show(outlineOf(scenery), shown !== this.shown);
+    this.shown = shown;
   }
 
   /** Where people stand, on the floor. */
   private people(): Vector3[] {
     return [...this.bodies.byName]
-      .filter(([name, body]) => isPerson(name) && name.endsWith('_torso') && body.visible)
+      .filter(([name, body]) => isTorso(name) && body.visible)
       .map(([, body]) => body.position.clone().setZ(0));
   }
 
@@ -213,7 +260,7 @@ export class CellView {
       const [x, y] = middle(zone.polygon);
       found.set(`zone ${zone.name}`, { text: zone.name, at: new Vector3(x, y, 0.02), tone: this.trouble.zones.has(zone.name) ? 'danger' : 'plain' });
     }
-    if (this.gap !== null && this.trouble.figure !== null) found.set('gap', { text: this.trouble.figure, at: this.beside(this.gap), tone: 'danger' });
+    if (this.gap !== null && this.trouble.figure !== null) found.set('gap', { text: this.trouble.figure, at: this.beside(this.gap), tone: 'danger', boxed: true });
     this.people().forEach((at, k) => found.set(`person ${k}`, { text: `person ${k + 1}`, at: at.setZ(1.75 + HEAD_M), tone: 'warn' }));
     return found;
   }
@@ -260,7 +307,7 @@ export class CellView {
   };
 
   private paint(now: number): void {
-    this.dirty = false;
+    this.dirty = this.rig.advance(now);
     const { clientWidth: width, clientHeight: height } = this.host;
     this.renderer.render(this.world, this.rig.camera);
     this.labels.draw(this.labelled(), this.rig.camera, width, height);
@@ -297,6 +344,10 @@ function isHere(info: SceneInfo, poses: Float32Array, at: number): boolean {
   const [x0, y0, x1, y1] = info.scene.bounds_m;
   const [x = NaN, y = NaN, z = NaN] = poses.subarray(at, at + 3);
   return x > x0 - OUTSIDE_M && x < x1 + OUTSIDE_M && y > y0 - OUTSIDE_M && y < y1 + OUTSIDE_M && z > -0.5;
+}
+
+function isTorso(name: string): boolean {
+  return isPerson(name) && name.endsWith('_torso');
 }
 
 function yawOf({ quaternion: { z, w } }: Group): number {
