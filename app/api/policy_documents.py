@@ -103,6 +103,15 @@ class DifferenceDocument(Document):
     direction: Literal["same", "tightens", "loosens", "both"]
 
 
+class OutcomeDocument(Document):
+    """What becomes of a proposal under one version, whatever keeps it waiting at the moment."""
+
+    what: Literal["allow", "approve", "deny"]
+    approvers: int
+    values: dict[str, Any] = Field(description="The effective parameters; none of what is denied.")
+    rules: list[str] = Field(description="By which rules.")
+
+
 class TransitionDocument(Document):
     """One way in which decisions come out otherwise, with the smallest example."""
 
@@ -114,6 +123,8 @@ class TransitionDocument(Document):
     message: str
     example: str = Field(description="A case file (YAML); what it expects is what this version does.")
     body: dict[str, Any] = Field(description="The example's proposal, as a body with which people `POST /v1/check`.")
+    before: OutcomeDocument | None = Field(description="What becomes of it by the version in force.")
+    after: OutcomeDocument | None = Field(description="What becomes of it by this version.")
 
 
 class ComparisonDocument(Document):

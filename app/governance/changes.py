@@ -42,6 +42,8 @@ class Transition(NamedTuple):
         message: the same in words.
         example: a case that shows it, as YAML: what it expects is what the new policy does.
         body: its proposal as a body of `POST /v1/check`.
+        before, after: what becomes of that proposal under either policy: `what` (allow, approve, deny), `approvers`,
+            the effective `values`, and `rules`, by which; None where no decision shows it.
     """
 
     capability: str
@@ -52,6 +54,8 @@ class Transition(NamedTuple):
     message: str
     example: str
     body: Mapping[str, Any]
+    before: Mapping[str, Any] | None = None
+    after: Mapping[str, Any] | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -84,7 +88,7 @@ class Comparison:
 
     def brief(self) -> dict[str, Any]:
         """Return the comparison as JSON without its examples, for the record."""
-        said = [found._replace(example="", body={})._asdict() for found in self.decisions]
+        said = [found._replace(example="", body={}, before=None, after=None)._asdict() for found in self.decisions]
         return {**self.document(), "decisions": said}
 
     @staticmethod

@@ -121,7 +121,8 @@ class _Comparing:
         sides = [_said(one, by) for one, by in zip(found, rules, strict=True)]
         message = f"`{name}` in {profile}: {question.change}: {sides[0]} before, now {sides[1]}"
         text, body = written(self.new, case, f"{question.change}: `{name}` in {profile}")
-        return Transition(name, profile, question.change, question.direction, True, message, text, body)
+        outcomes = (_outcome(one, by) for one, by in zip(found, rules, strict=True))
+        return Transition(name, profile, question.change, question.direction, True, message, text, body, *outcomes)
 
     def _open(self, joint: Joint, question: Question, answer: object) -> Transition:
         gate = joint.old.gate
@@ -217,6 +218,11 @@ def _decided_by(policy: PolicySet, name: str, profile: str) -> tuple[Any, ...]:
         {key: limit.maximum for key, limit in environment.limits.items()},
         policy.site, policy.agents, policy.permissions,
     )  # fmt: skip
+
+
+def _outcome(found: Told, rules: list[str]) -> dict[str, Any]:
+    values = {} if found.what == "deny" else dict(found.effective)
+    return {"what": found.what, "approvers": found.approvers, "values": values, "rules": rules}
 
 
 def _said(found: Told, rules: list[str]) -> str:

@@ -119,6 +119,10 @@ def test_a_candidate_is_mended_compared_tried_put_in_force_by_two_and_undone(
     view = first.page.get_by_role("region", name=re.compile("^Version "))
     expect(view.get_by_role("region", name="What it would change")).to_contain_text("Loosens")
     expect(view).to_contain_text("profiles/human-shared/limits/grip_force_n/maximum")
+    otherwise = view.get_by_role("list", name="Decisions that come out otherwise").get_by_role("listitem")
+    grasp = otherwise.filter(has_text="grasp_object under human-shared")
+    expect(grasp.get_by_role("row", name="Outcome")).to_have_text(re.compile("asks one person *asks one person"))
+    expect(grasp.get_by_role("row", name="Grip force")).to_have_text(re.compile(r"60 N *\S+ N"))
     expect(view).to_contain_text("yours is the first word")
     expect(view.get_by_role("button", name="Give the first word")).to_have_accessible_description(
         "Say why first: it stays in the record."

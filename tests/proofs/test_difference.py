@@ -122,6 +122,14 @@ def test_approval_that_is_really_dropped_is_shown() -> None:
     )
     assert found.direction is LOOSENS
     assert ("grasp_object", "human-shared", "approve -> allow") in changes(found)
+    (shown,) = (one for one in found.decisions if one.change == "approve -> allow" and one.capability == "grasp_object")
+    before, after = shown.before, shown.after
+    assert before is not None
+    assert after is not None
+    assert [(one["what"], one["approvers"]) for one in (before, after)] == [("approve", 1), ("allow", 0)]
+    assert before["values"] == after["values"]
+    assert all(one.after is None for one in Comparison.read(found.brief()).decisions)
+    assert Comparison.read(json.loads(json.dumps(found.document()))) == found
 
 
 def test_a_confirmation_that_goes_or_answers_silence_otherwise_loosens() -> None:

@@ -1,5 +1,6 @@
 import { describe, expect, it } from 'vitest';
-import type { Capability, PolicySet } from '../src/lib/api/documents';
+import type { Capability, Decided, InputSchema, PolicySet } from '../src/lib/api/documents';
+import { decidedRows } from '../src/lib/policy/decided';
 import { boundText, confirmRule, confirmText, effectOf, moved, rulesFor, squareOf, type Rule } from '../src/lib/policy/matrix';
 import { fieldsOf, readConfidence, readParams, verdictWords } from '../src/lib/policy/proposal';
 
@@ -131,5 +132,22 @@ describe('the what-if form', () => {
     const two = { reasons: [reason('The press needs two.'), reason('`operate_tool` needs approval')], needed: 2, within_s: 300 };
     expect(verdictWords({ status: 'awaiting_approval', asks: two }).says).toBe('The press needs two; “operate_tool” needs approval; 2 approvals within 300 s.');
     expect(verdictWords({ status: 'awaiting_approval' }).says).toBe('It would wait until people approve it.');
+  });
+});
+
+describe('a decision under two versions', () => {
+  const of = (over: Partial<Decided>): Decided => ({ what: 'allow', approvers: 0, values: {}, rules: [], ...over });
+
+  it('says the outcome, every value with its unit, and by which rules', () => {
+    const before = of({ what: 'approve', approvers: 2, values: { force_n: 60, object_id: 'mug_1' }, rules: ['a/b', 'c/d'] });
+    const after = of({ what: 'deny', rules: ['e/f'] });
+    const inputs = { force_n: { 'x-limit': 'contact_force_n' } } as unknown as Record<string, InputSchema>;
+    expect(decidedRows(before, after, inputs)).toEqual([
+      { about: 'Outcome', before: 'asks 2 people', after: 'denied' },
+      { about: 'Contact force', before: '60 N', after: '–' },
+      { about: 'Object', before: 'mug_1', after: '–' },
+      { about: 'By', before: 'a/b, c/d', after: 'e/f' },
+    ]);
+    expect(decidedRows(of({}), of({ what: 'approve', approvers: 1 }), {})[0]).toEqual({ about: 'Outcome', before: 'launched', after: 'asks one person' });
   });
 });

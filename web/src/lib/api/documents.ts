@@ -352,6 +352,16 @@ export interface Transition {
   message: string;
   /** A case file. */
   example: string;
+  /** What becomes of the example by what is in force, and by the candidate. */
+  before: Decided | null;
+  after: Decided | null;
+}
+
+export interface Decided {
+  what: 'allow' | 'approve' | 'deny';
+  approvers: number;
+  values: Params;
+  rules: string[];
 }
 
 /** What a candidate would have decided otherwise on live traffic. */
