@@ -1,7 +1,7 @@
 import { PerspectiveCamera, Vector3 } from 'three';
 import { clear, within } from '../src/lib/scene/labels';
 import { describe, expect, it } from 'vitest';
-import { fitted, framed, outlineOf, seesAll, wholeCell, type Covered, type Scenery } from '../src/lib/scene/framing';
+import { fitted, framed, heldInSight, outlineOf, seesAll, wholeCell, type Covered, type Scenery } from '../src/lib/scene/framing';
 import { gapTo, guardAt, leastGap, outline, type Guard, type Spot } from '../src/lib/scene/separation';
 
 const BOUNDS = [0, 0, 8, 6] as const;
@@ -51,8 +51,16 @@ describe('the camera that shows what goes on', () => {
   it('needs not move for a step of somebody, and has to for somebody who comes from elsewhere', () => {
     const covered = { above: 0.1, below: 0.12 };
     const camera = looking({ ...ALONE, people: [[4.2, 4]] }, 0.94, covered);
-    const standing = (at: Spot): boolean => seesAll(camera, outlineOf({ ...ALONE, people: [at] }), covered);
+    const standing = (at: Spot): boolean => seesAll(camera, heldInSight({ ...ALONE, people: [at] }), covered);
     expect([standing([4.2, 4]), standing([4.4, 4]), standing([4.1, 4.2]), standing([6, 4.3])]).toEqual([true, true, true, false]);
+  });
+
+  it('needs not move while the robot drives where it was to go', () => {
+    const covered = { above: 0.1, below: 0.12 };
+    const driving = { ...ALONE, path: [[1.6, 4.3], [1.6, 3.4], [5, 3.4]] as const };
+    const camera = looking(driving, 0.94, covered);
+    const at = (...robot: Spot): boolean => seesAll(camera, heldInSight({ ...driving, robot }), covered);
+    expect([at(1.6, 3.4), at(3, 3.4), at(5, 3.4), at(7.5, 3.4)]).toEqual([true, true, true, false]);
   });
 
   it('is nearer where less goes on, but leaves what the robot stands among in sight', () => {

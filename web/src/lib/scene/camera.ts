@@ -1,7 +1,7 @@
 import { OrbitControls } from 'three/examples/jsm/controls/OrbitControls.js';
 import { MathUtils, PerspectiveCamera, Vector3 } from 'three';
 import { tab } from '../state/tab';
-import { fitted, framed, seesAll, UNCOVERED, wholeCell, type Covered } from './framing';
+import { fitted, framed, heldInSight, outlineOf, seesAll, UNCOVERED, wholeCell, type Covered, type Scenery } from './framing';
 
 /** What goes on, the whole cell from its corner or from above, or the robot wherever it drives. */
 export type View = 'scene' | 'overview' | 'top' | 'follow';
@@ -114,23 +114,23 @@ export class CameraRig {
     else this.restore(kept);
   }
 
-  /** Shows all of what goes on, where that is the view that was chosen: what was not in it before, or what was left of it. */
-  show(outline: readonly Vector3[], anew: boolean): void {
+  /** Shows all of what goes on, where that is the view that was chosen; it is framed anew where it is something else, or was about to go out of sight. */
+  show(scenery: Scenery, anew: boolean): void {
     const first = this.outline.length === 0;
-    this.outline = outline;
-    if (this.chosen !== 'scene' || (!anew && !first && this.seen(outline))) return;
-    const goal = framed(outline, FROM.scene(this.camera.aspect), this.camera, this.covered);
+    this.outline = outlineOf(scenery);
+    if (this.chosen !== 'scene' || (!anew && !first && this.seen(heldInSight(scenery)))) return;
+    const goal = framed(this.outline, FROM.scene(this.camera.aspect), this.camera, this.covered);
     if (first || matchMedia('(prefers-reduced-motion: reduce)').matches) this.put(goal.position, goal.target);
     else this.goTo(goal);
   }
 
   /** Where the camera is, or is about to be. */
-  private seen(outline: readonly Vector3[]): boolean {
-    if (this.goal === null) return seesAll(this.camera, outline, this.covered);
+  private seen(points: readonly Vector3[]): boolean {
+    if (this.goal === null) return seesAll(this.camera, points, this.covered);
     const there = this.camera.clone();
     there.position.copy(this.goal.position);
     there.lookAt(this.goal.target);
-    return seesAll(there, outline, this.covered);
+    return seesAll(there, points, this.covered);
   }
 
   private goTo(goal: { position: Vector3; target: Vector3 }): void {

@@ -25,6 +25,7 @@ export const UNCOVERED: Covered = { above: 0, below: 0 };
 const TALL_M = 1.3;
 const PERSON_M = 2;
 const BESIDE_M = 0.4;
+const HULL_M = 0.6;
 const LEAST_REACH_M = 1.3;
 /** Where nothing goes on, more of what the robot stands among is shown. */
 const IDLE_REACH_M = 1.9;
@@ -37,17 +38,27 @@ export function wholeCell([x0, y0, x1, y1]: Bounds): Vector3[] {
   return [x0, x1].flatMap((x) => [y0, y1].flatMap((y) => [0, TALL_M].map((z) => new Vector3(x, y, z))));
 }
 
-/** The points that have to be seen for all of it to be. */
-export function outlineOf({ robot, reachM, people, path, things }: Scenery): Vector3[] {
+/** The points by which a picture is fitted: all of what goes on, and what the robot stands among. */
+export function outlineOf(scenery: Scenery): Vector3[] {
+  const { robot, reachM, people, path, things } = scenery;
   const reach = Math.max(reachM, people.length + path.length + things.length === 0 ? IDLE_REACH_M : LEAST_REACH_M);
-  const around = Array.from({ length: AROUND }, (_, k) => new Vector3(reach, 0, 0).applyAxisAngle(UP, (k * 2 * Math.PI) / AROUND));
+  return [...around(robot, reach), ...heldInSight(scenery)];
+}
+
+/** The points that stay in sight: a picture that shows them is left as it is, or it would move all the time that a robot drives. */
+export function heldInSight({ robot, people, path, things }: Scenery): Vector3[] {
   return [
-    ...around.map((out) => out.add(new Vector3(robot[0], robot[1], 0))),
-    new Vector3(robot[0], robot[1], TALL_M),
+    ...[robot, ...path].flatMap(([x, y]) => [...around([x, y], HULL_M), new Vector3(x, y, TALL_M)]),
     ...people.flatMap(([x, y]) => [-BESIDE_M, BESIDE_M].flatMap((aside) => [new Vector3(x + aside, y, 0), new Vector3(x + aside, y, PERSON_M)])),
-    ...path.map(([x, y]) => new Vector3(x, y, 0)),
     ...things,
   ];
+}
+
+function around([x, y]: Spot, radiusM: number): Vector3[] {
+  return Array.from({ length: AROUND }, (_, k) => {
+    const angle = (k * 2 * Math.PI) / AROUND;
+    return new Vector3(x + radiusM * Math.cos(angle), y + radiusM * Math.sin(angle), 0);
+  });
 }
 
 /** Whether a camera sees all of them where nothing covers the picture. */

@@ -4,7 +4,7 @@ import type { PoseFrame } from '../socket/frame';
 import { buildBodies, dispose, isPerson, place as put, type Bodies } from './build';
 import { CameraRig, type View } from './camera';
 import { buildGround, shadow } from './ground';
-import { outlineOf, type Covered } from './framing';
+import type { Covered } from './framing';
 import { Labels, type Label } from './labels';
 import { moved } from './motion';
 import { Overlay } from './overlay';
@@ -239,7 +239,7 @@ export class CellView {
     const shown = JSON.stringify([this.path, people.length, things.map(({ name }) => name)]);
     const reachM = this.guard === null ? 0 : this.guard.hullM + this.guard.neededM;
     const scenery = { robot: [this.robot.x, this.robot.y] as const, reachM, people, path: this.path, things: things.map(({ position }) => position) };
-    this.rig.show(outlineOf(scenery), shown !== this.shown);
+    this.rig.show(scenery, shown !== this.shown);
     this.shown = shown;
   }
 
