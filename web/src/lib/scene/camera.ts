@@ -119,9 +119,8 @@ export class CameraRig {
     const first = this.outline.length === 0;
     this.outline = outlineOf(scenery);
     if (this.chosen !== 'scene' || (!anew && !first && this.seen(heldInSight(scenery)))) return;
-    const goal = framed(this.outline, FROM.scene(this.camera.aspect), this.camera, this.covered);
-    if (first || matchMedia('(prefers-reduced-motion: reduce)').matches) this.put(goal.position, goal.target);
-    else this.goTo(goal);
+    if (first) this.fit('scene');
+    else this.goToScene();
   }
 
   /** Where the camera is, or is about to be. */
@@ -133,9 +132,13 @@ export class CameraRig {
     return seesAll(there, points, this.covered);
   }
 
-  private goTo(goal: { position: Vector3; target: Vector3 }): void {
+  private goToScene(): void {
+    if (matchMedia('(prefers-reduced-motion: reduce)').matches) {
+      this.fit('scene');
+      return;
+    }
     if (this.goal === null) this.wentMs = performance.now();
-    this.goal = goal;
+    this.goal = framed(this.outline, FROM.scene(this.camera.aspect), this.camera, this.covered);
     this.moved();
   }
 
@@ -145,10 +148,12 @@ export class CameraRig {
     const { position, target } = this.goal;
     const part = 1 - Math.exp(-Math.max(0, nowMs - this.wentMs) / EASE_MS);
     this.wentMs = Math.max(this.wentMs, nowMs);
+    const before = this.camera.position.distanceTo(position);
     this.camera.position.lerp(position, part);
     this.controls.target.lerp(target, part);
-    if (this.camera.position.distanceTo(position) < THERE_M) this.goal = null;
     this.controls.update();
+    const left = this.camera.position.distanceTo(position);
+    if (left < THERE_M || (part > 0 && left >= before)) this.goal = null; // as far as it may go
     return this.goal !== null;
   }
 
@@ -156,7 +161,8 @@ export class CameraRig {
   cover(covered: Covered): void {
     if (covered.above === this.covered.above && covered.below === this.covered.below) return;
     this.covered = covered;
-    this.fitAgain();
+    if (this.chosen === 'scene' && this.outline.length > 0) this.goToScene();
+    else this.fitAgain();
   }
 
   /** Goes to the robot for as long as somebody drives it, whatever was chosen; then back. What is kept stays as it was. */
