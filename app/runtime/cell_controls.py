@@ -110,9 +110,16 @@ class CellControls:
                 cell.latched = cell.latch_unkept = False
                 if await self.fleet.unlatch(cell, principal.name, seen=seen, decided=decided):
                     cell.unheard = None
+                    await self._refused(cell)
                 elif cell.unheard is not None:  # nor has it reported one
                     body = {"what": NOT_CONFIRMED, "op": "reset", "cell": cell.id, "journal": cell.unheard}
                     await self.register.say(EventDraft(kind=EventKind.CELL, actor=SERVER, body=body))
+
+    async def _refused(self, cell: Cell) -> None:
+        """Keep a stop that its cell, which heard the reset, has not left: its next run may not know of it."""
+        if cell.state is not None and cell.state.latched:
+            cell.latched = cell.latch_unkept = True
+            await self.fleet.roster.keep_late()
 
     def arm_reset(self, cell_id: str, principal: Principal) -> dict[str, Any]:
         """Prepare to leave a latched stop: returns the code to confirm it with. Changes nothing else, moves nothing.

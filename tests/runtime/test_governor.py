@@ -30,6 +30,7 @@ from .conftest import (
     OPERATOR_2,
     STRANGER,
     HandCell,
+    House,
     grasp,
     navigate,
     until,
@@ -626,6 +627,27 @@ async def test_a_reset_that_the_cell_does_not_confirm_says_that_it_is_latched(
     monkeypatch.undo()
     cell.obeys = True
     assert not (await runtime.governor.reset(CELL, OPERATOR))["latched"]
+
+
+@pytest.mark.parametrize("server", ["runs", "is started again"])
+async def test_a_stop_whose_reset_the_cell_refused_is_latched_for_its_next_run_as_well(
+    house: House, server: str
+) -> None:
+    async with house.open() as first:
+        cell = await HandCell(first).dial()
+        await first.governor.estop(CELL, AGENT)
+        cell.tripped = 9  # no reset counts that is said of a state before, and its disk takes no word of either
+        assert (await first.governor.reset(CELL, OPERATOR))["latched"]
+        await cell.hang_up()
+        if server == "runs":
+            again = await HandCell(first, boot="boot-2").dial()
+            await again.expect("estop")
+            assert not (await first.governor.reset(CELL, OPERATOR))["latched"]
+            return
+    async with house.open() as second:
+        again = await HandCell(second, boot="boot-2").dial()
+        await again.expect("estop")
+        assert second.register.unfounded == {}
 
 
 async def test_who_may_take_the_second_step_of_a_reset_is_known_until_it_is_void(
