@@ -7,8 +7,10 @@ Whoever keeps a record, the server's log or a cell's journal, asks here and says
 
 from __future__ import annotations
 
+import errno
 import os
 import secrets
+from contextlib import suppress
 from typing import TYPE_CHECKING, Final
 
 if TYPE_CHECKING:
@@ -95,6 +97,38 @@ def write_private(path: Path, content: bytes) -> None:
         draft.unlink(missing_ok=True)
         raise
     sync_folder(path.parent)
+
+
+def lay_by(path: Path) -> None:
+    """Have as many bytes as a file has stand beside it, for `replace_private`; where there is no room, none."""
+    with suppress(OSError):
+        write_private(_spare(path), bytes(path.stat().st_size))
+
+
+def replace_private(path: Path, content: bytes) -> None:
+    """Put a file in place as `write_private` does, also on a full disk: there it goes over what was laid by.
+
+    Raises:
+        OSError: the disk did not take it; as `write_private`.
+    """
+    try:
+        write_private(path, content)
+    except OSError as error:
+        spare = _spare(path)
+        full = error.errno in {errno.ENOSPC, errno.EDQUOT}
+        if not full or not spare.is_file() or spare.stat().st_size < len(content):
+            raise
+        with spare.open("r+b") as file:
+            file.write(content)
+            file.truncate()
+            file.flush()
+            os.fsync(file.fileno())
+        spare.replace(path)
+        sync_folder(path.parent)
+
+
+def _spare(path: Path) -> Path:
+    return path.with_name(f"{path.name}.spare")
 
 
 def sync_folder(folder: Path) -> None:

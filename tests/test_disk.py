@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import errno
 import os
 from pathlib import Path
 
 import pytest
 
-from app.disk import displaced, full, write_private
+from app.disk import displaced, full, lay_by, replace_private, write_private
 
 
 def test_says_of_a_disk_whether_it_takes_more(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -67,3 +68,32 @@ def test_what_was_put_in_place_is_there_after_a_power_cut(tmp_path: Path, monkey
     assert "key" not in before, "the bytes come before the name"
     assert after == (True, ["key"])
     assert (path.read_bytes(), path.stat().st_mode & 0o777) == (b"secret", 0o600)
+
+
+def fills_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let a disk take no new bytes, once."""
+
+    def refuse(_: int) -> None:
+        monkeypatch.undo()
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(os, "fsync", refuse)
+
+
+def test_a_shorter_file_is_put_in_place_on_a_full_disk_where_room_was_laid_by(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "listed"
+    write_private(path, b"one, two")
+    lay_by(path)
+    fills_up(monkeypatch)
+    replace_private(path, b"one")
+    assert (path.read_bytes(), path.stat().st_mode & 0o777) == (b"one", 0o600)
+    assert [one.name for one in tmp_path.iterdir()] == ["listed"]
+    for laid_by in (False, True):  # none, and one that is too short
+        if laid_by:
+            lay_by(path)
+        fills_up(monkeypatch)
+        with pytest.raises(OSError, match="No space left"):
+            replace_private(path, b"one, two")
+        assert path.read_bytes() == b"one"

@@ -27,7 +27,7 @@ from app.api.problems import Problem
 from app.audit.archive import reading
 from app.audit.places import Places
 from app.config import CELL_ID, VALID_CELL_ID
-from app.disk import write_private
+from app.disk import lay_by, replace_private, write_private
 from app.governance.model import Role
 from app.governance.policy_model import GOVERNANCE
 from app.runtime.drafts import GRANTED, SERVER
@@ -246,6 +246,7 @@ def open_principals(data_dir: Path) -> Principals:
         write_private(data_dir / CELL_TOKEN_FILE, cell_token.encode() + b"\n")
         listed = orjson.dumps({"principals": rows}, option=orjson.OPT_INDENT_2) + b"\n"
         write_private(path, listed)  # last: it ends the start
+    lay_by(path)
     return Principals(path)
 
 
@@ -298,6 +299,7 @@ def issue_token(
             raise ValueError(f"`{name}` reads like `{alike}`, who is there already: valid is that, or another name")
         rows = [*known, row if station is None else {**row, "station": station}]
         write_private(path, orjson.dumps({"principals": rows}, option=orjson.OPT_INDENT_2) + b"\n")
+        lay_by(path)
     return token
 
 
@@ -325,7 +327,8 @@ def withdraw_tokens(data_dir: Path, name: str, *, but_newest: bool = False) -> i
         if not theirs:
             names = ", ".join(f"`{one}`" for one in dict.fromkeys(str(row["name"]) for row in known))
             raise ValueError(f"`{name}` has no token: valid are {names}")
-        write_private(path, orjson.dumps({"principals": kept}, option=orjson.OPT_INDENT_2) + b"\n")
+        replace_private(path, orjson.dumps({"principals": kept}, option=orjson.OPT_INDENT_2) + b"\n")  # it restrains
+        lay_by(path)
     return len(known) - len(kept)
 
 

@@ -1,9 +1,11 @@
 from __future__ import annotations
 
 import asyncio
+import errno
 import json
 import os
 import stat
+from collections.abc import Iterator
 from pathlib import Path
 
 import httpx
@@ -18,6 +20,7 @@ from app.api.auth import (
     Principals,
     PrincipalsUnreadable,
     issue_token,
+    issued,
     open_principals,
     withdraw_tokens,
 )
@@ -348,3 +351,20 @@ def test_older_tokens_are_withdrawn_while_the_newest_holds(tmp_path: Path) -> No
     assert (principals.has(first), principals.has(newest)) == (False, True)
     assert withdraw_tokens(tmp_path, "planner", but_newest=True) == 0
     assert withdraw_tokens(tmp_path, "planner") == 1
+
+
+def test_a_token_is_withdrawn_on_a_full_disk_again_and_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    open_principals(tmp_path)
+    sync = os.fsync
+    for name in ("auditor", "engineer"):
+        refusals = iter((True, False, False, False, False))  # the draft alone: what it would replace makes room
+
+        def full(descriptor: int, refusals: Iterator[bool] = refusals) -> None:
+            if next(refusals):
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+            sync(descriptor)
+
+        monkeypatch.setattr(os, "fsync", full)
+        assert withdraw_tokens(tmp_path, name) == 1
+    monkeypatch.undo()
+    assert {one.principal.name for one in issued(tmp_path)} == {"planner", "operator", "operator_2", "cell"}
