@@ -135,6 +135,10 @@ class Principals:
         }
         return found
 
+    def end(self, credential: Credential) -> None:
+        """Let a token hold no longer, whatever the clock says."""
+        self._until_s[credential] = -math.inf
+
     def _over(self, credential: Credential) -> bool:
         """Say whether a token that was read holds no longer; a clock that is put back makes that no later."""
         until_s = self._until_s.get(credential, math.inf)

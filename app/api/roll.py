@@ -47,16 +47,24 @@ class Roll:
         Raises:
             RecordUnavailable: it cannot be recorded, so nobody counts.
         """
-        after = 0
+        after, since = 0, dict[str, int]()
         while True:
             events = await self._store.events(kind=EventKind.PRINCIPAL, after=after, limit=PAGE)
             for event in events:
                 self._note(event.payload())
-                after = event.seq
+                since[str(event.payload()["credential"])] = after = event.seq
             if len(events) < PAGE:
                 break
+        await self._end_expired(since)
         self._principals.keep_roll()
         await self.update()
+
+    async def _end_expired(self, since: Mapping[str, int]) -> None:
+        """End the tokens that the record has outlived: a clock that was put back makes none of them hold again."""
+        for credential in self._principals.look().values():
+            seq, until_s = since.get(_name(credential)), credential.expires_at_s
+            if seq and until_s is not None and await self._store.events(after=seq, since=until_s, limit=1):
+                self._principals.end(credential)
 
     async def update(self) -> None:
         """Look at the file again, record what changed, and let it count.

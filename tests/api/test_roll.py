@@ -10,9 +10,11 @@ import orjson
 import pytest
 from starlette.datastructures import Headers
 
+from app import clock
 from app.api.auth import FIRST_PRINCIPALS, PRINCIPALS_FILE, TOKENS_FILE, Principals, issue_token, open_principals
 from app.api.problems import Problem
 from app.api.roll import Roll
+from app.audit import store as store_module
 from app.audit.errors import RecordUnavailable
 from app.audit.event import EventDraft
 from app.audit.store import AuditStore
@@ -165,3 +167,23 @@ async def test_where_somebody_stands_is_recorded_before_it_counts(tmp_path: Path
     changed = (await words(store))[-len(rows) :]
     assert {(word["op"], word["station"]) for word in changed} == {("changed", "workcell-2")}
     assert principals.recognize(token).station == "workcell-2"
+
+
+async def test_a_token_that_has_expired_holds_no_more_at_a_start_with_the_clock_put_back(
+    tmp_path: Path, store: AuditStore, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    await Roll(open_principals(tmp_path), store).open()
+    over = issue_token(tmp_path, name="maria", role=Role.AUDITOR, ttl_s=60.0)
+    await Roll(principals := open_principals(tmp_path), store).open()
+    assert may_enter(principals, over)
+    now_s = clock.wall_s()
+    with monkeypatch.context() as later:
+        later.setattr(store_module, "wall_s", lambda: now_s + 90.0)
+        await store.append([EventDraft(kind="boot", actor="server", body={})])
+    holds = issue_token(tmp_path, name="jo", role=Role.AUDITOR, ttl_s=60.0)
+    await Roll(principals := open_principals(tmp_path), store).open()
+    assert may_enter(principals, holds), "it was issued after the clock was put back"
+    await Roll(principals := open_principals(tmp_path), store).open()
+    assert may_enter(principals, holds)
+    with pytest.raises(Problem, match="expired"):
+        principals.authenticate(Headers({"authorization": f"Bearer {over}"}))
