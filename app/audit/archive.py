@@ -283,7 +283,8 @@ def telemetry_problem(folder: Path, event: Event) -> str | None:
         case _:
             return None  # a session that left no file says so in its own words
     try:
-        with path.open("rb") as file:
+        # What stands there may be a pipe, whose opening waits for somebody to write.
+        with open(path, "rb", opener=lambda name, flags: os.open(name, flags | os.O_NONBLOCK)) as file:
             found = hashlib.file_digest(file, "sha256").hexdigest()
     except OSError as error:
         return f"event `{event.seq}`: `{path}`: {error.strerror}"

@@ -308,7 +308,7 @@ async def test_says_nothing_where_the_time_ran_out(store: AuditStore, data: Path
 
 async def test_compares_telemetry_files_with_the_log(store: AuditStore, data: Path) -> None:
     folder = Places(data).telemetry
-    for name in ("a", "b", "c"):
+    for name in ("a", "b", "c", "d"):
         writer = TelemetryWriter(folder / f"{name}.mcap", channels(("time_s", "q1_rad")), start_wall_s=0)
         writer.write_rows([(0.0, 1.0)])
         summary = await writer.aclose()
@@ -317,8 +317,11 @@ async def test_compares_telemetry_files_with_the_log(store: AuditStore, data: Pa
     assert telemetry_problems(data) == []
     (folder / "b.mcap").write_bytes(b"other")
     (folder / "c.mcap").unlink()
-    changed, gone = telemetry_problems(data)
+    (folder / "d.mcap").unlink()
+    os.mkfifo(folder / "d.mcap")  # nobody waits for who writes there
+    changed, gone, pipe = telemetry_problems(data)
     assert "b.mcap` is not the file that was recorded" in changed
+    assert "d.mcap` is not the file that was recorded" in pipe
     assert "No such file" in gone
 
 
