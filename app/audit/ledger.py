@@ -106,7 +106,8 @@ class Ledger:
             self._check_all(progress)
             if not made_here:
                 self._check_schema()
-            self._held = {path: path.stat() for path in places.written}
+            # The lock as well: where it is deleted, another server takes a new one, and both would write.
+            self._held = {path: path.stat() for path in (*places.written, places.lock)}
             self._opened = opened.pop_all()
 
     # -- writing -----------------------------------------------------------------------------------------------------

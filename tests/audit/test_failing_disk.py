@@ -195,7 +195,7 @@ async def test_a_commit_that_failed_but_reached_the_disk_is_taken_in(
     assert (await store.verify()).ok
 
 
-@pytest.mark.parametrize("name", ["reins.db", "reins.db-wal", "checkpoints.log"])
+@pytest.mark.parametrize("name", ["reins.db", "reins.db-wal", "checkpoints.log", "log.lock"])
 async def test_a_log_whose_file_was_deleted_takes_nothing_more_until_it_is_back(
     store: AuditStore, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
 ) -> None:
@@ -216,6 +216,23 @@ async def test_a_log_whose_file_was_deleted_takes_nothing_more_until_it_is_back(
     await until(lambda: store.healthy)
     assert await store.append([draft()]) == [recorded + 1], "what was refused is not in the log"
     assert (await store.verify()).ok
+
+
+async def test_a_server_whose_lock_another_one_took_anew_writes_nothing_beside_it(store: AuditStore) -> None:
+    await fill(store)
+    store.places.lock.unlink()
+    second = AuditStore.open(store.places.folder)
+    try:
+        with pytest.raises(
+            RecordUnavailable, match=r"another file stands in the place of the record's file `log\.lock`"
+        ):
+            await store.append([draft()])
+        assert await second.append([draft()]) == [store.size + 1]
+        with pytest.raises(RecordUnavailable):
+            await store.append([draft()])
+        assert (await second.verify()).ok
+    finally:
+        await second.close()
 
 
 async def test_whoever_asks_hears_of_a_log_that_was_deleted_since_the_last_write(store: AuditStore) -> None:
