@@ -80,10 +80,10 @@ class Answer:
 
     # -- before launch -----------------------------------------------------------------------------------------------
 
-    async def deny(self, why: Denial) -> Escalation:
+    async def deny(self, why: Denial, said_at: str) -> Escalation:
         """End the invocation: one denial is enough. The agent gets the code's words, never the person's."""
         now = self._register.now()
-        closed = self._denied(now, why)
+        closed = self._denied(now, why, said_at)
         reasons = [reason(RULE, "denied_by_human", "a human denied this", why.remedy)]
         if why != self._kernel.policy.authority.denials[0]:
             reasons.insert(0, reason(DENIAL, why.code, why.says, why.remedy))
@@ -98,8 +98,8 @@ class Answer:
         )
         return closed
 
-    def _denied(self, at: str, why: Denial) -> Escalation:
-        said = {"by": self._principal.name, "at": at, "code": why.code, "says": why.says}
+    def _denied(self, at: str, why: Denial, said_at: str) -> Escalation:
+        said = {"by": self._principal.name, "at": said_at, "code": why.code, "says": why.says}
         return self._escalation.evolve(at, status=DENIED, denial=said)
 
     async def approve(self, params: Mapping[str, Any] | None) -> Escalation:
@@ -345,7 +345,8 @@ class Answer:
 
     async def end(self, why: Denial) -> Escalation:
         """End the session as policy says of a denial."""
-        closed = self._denied(self._register.now(), why)
+        now = self._register.now()
+        closed = self._denied(now, why, now)
         await self._questions.end_session(
             self._invocation, closed.on_deny, self._principal.name, self._commit_session("deny", closed)
         )

@@ -11,7 +11,7 @@ import asyncio
 import contextlib
 from collections import Counter
 from operator import itemgetter
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from app.audit.documents import follow, is_founded, nothing_said
 from app.audit.errors import AuditError, RecordUnavailable, RowUnreadable
@@ -61,6 +61,15 @@ _SINCE: Final = {POLICY_CHANGED: "another policy is in force", PROFILE_CHANGED: 
 POLL_S: Final = 0.5  # the wall clock may step; a deadline is met within this all the same
 
 
+class Denied(NamedTuple):
+    """What somebody denied a launch with, and when."""
+
+    principal: Principal
+    why: Denial
+    comment: str | None
+    at: str
+
+
 class Desk(Questions):
     """What people and time do to the pending questions of one server."""
 
@@ -68,6 +77,7 @@ class Desk(Questions):
         """Take where changes are recorded, where orders go, and who decides."""
         super().__init__(register, fleet, kernel)
         self.reviews = Reviews(register, kernel)
+        self._denials: dict[str, Denied] = {}  # that the record could not take: they hold, and wait for it
         self.decide_again: Callable[[], Awaitable[None]] = _nothing_waits
 
     def outdated(self, question: Escalation) -> str | None:
@@ -149,7 +159,8 @@ class Desk(Questions):
             Forbidden: `own_proposal`, nobody approves what they proposed; `role_forbidden`, nor once they may no more.
             InvalidParams: edited parameters that do not fit the schema, or edit a session under way; a code that policy
                 does not declare, or one with an approval; parameters with a denial; a grant for another object or task.
-            RecordUnavailable: nothing was recorded; a denial of a session has been sent to the cell all the same.
+            RecordUnavailable: nothing was recorded; a denial of a session has been sent to the cell all the same, that
+                of a launch holds, and is recorded as soon as it can be.
         """
         why = self._denial(decision, code)
         if decision == "deny" and params is not None:
@@ -160,6 +171,9 @@ class Desk(Questions):
             present = await self._present(escalation_id, entry.newest)
             _check_answer(present, principal, digest, self.outdated(present))
             if decision == "approve":
+                if self.denied(present):
+                    message = f"the escalation `{present.id}` is denied, which the record could not take yet"
+                    raise Conflict("already_resolved", message)
                 self.ask_again(principal)
             grant = None if offer is None else self._grant(offer, present, entry.newest, principal, decision, params)
             answer = Answer(self, entry.newest, present, principal, comment, grant, first)
@@ -171,8 +185,20 @@ class Desk(Questions):
                 case _, "approve":
                     final = await answer.approve(params)
                 case _:
-                    final = await answer.deny(why)
+                    self._denials[present.id] = Denied(principal, why, comment, self.register.now())
+                    final = await self._deny(answer, present)
         return final.public()
+
+    async def _deny(self, answer: Answer, present: Escalation) -> Escalation:
+        """Have a denial recorded; it holds until then, and is tried again. Raises `RecordUnavailable`."""
+        said = self._denials[present.id]
+        final = await answer.deny(said.why, said.at)
+        del self._denials[present.id]
+        return final
+
+    def denied(self, question: Escalation) -> bool:
+        """Say whether somebody has denied a launch, and the record could not take it yet."""
+        return question.id in self._denials
 
     async def _needed_first(self, escalation_id: str) -> int:
         """Return how many people an open question wanted when it was asked first.
@@ -266,7 +292,7 @@ class Desk(Questions):
         present = self._pending.get(escalation_id)
         if present is None:
             raise _gone(await self._load(escalation_id))
-        if self.due(present):
+        if self.due(present) and not self.denied(present):
             with contextlib.suppress(RecordUnavailable):  # it stays pending, and is tried again; the answer is the same
                 await self._expire(present, invocation)
             raise Conflict("escalation_expired", f"the escalation `{present.id}` expired at `{present.expires_at}`")
@@ -285,6 +311,7 @@ class Desk(Questions):
             RecordUnavailable: what could not be recorded stays pending; answers to it are refused as expired all the
                 same.
         """
+        self._denials = {name: said for name, said in self._denials.items() if name in self._pending}
         done = await asyncio.gather(*map(self._close_due, list(self._pending.values())), return_exceptions=True)
         for error in done:
             if error is not None:
@@ -294,6 +321,11 @@ class Desk(Questions):
         entry = self.register.entry(known.invocation)
         if entry is None:
             await self._withdraw_stray(known.id)
+        elif known.id in self._denials:
+            async with entry.lock:
+                present, said = self._pending.get(known.id), self._denials.get(known.id)
+                if present is not None and said is not None:
+                    await self._deny(Answer(self, entry.newest, present, said.principal, said.comment), present)
         elif self.due(known):
             async with entry.lock:
                 present = self._pending.get(known.id)
@@ -385,6 +417,7 @@ class Desk(Questions):
             self._asked.clear()
             deadlines = [deadline for item in self._pending.values() if (deadline := item.deadline_s) is not None]
             wait_s = max(0.0, min(POLL_S, min(deadlines) - self.register.now_s())) if deadlines else None
+            wait_s = POLL_S if self._denials else wait_s
             with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout(wait_s):
                     await self._asked.wait()

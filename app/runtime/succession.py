@@ -295,7 +295,7 @@ class Succession:
             # What waits for approval may launch, on what the last session left.
             async with self._desk.settled(entry) if known.kind == APPROVAL else entry.lock:
                 present = self._desk.pending_for(known.invocation)
-                why = None if present is None else self._desk.outdated(present)
+                why = None if present is None or self._desk.denied(present) else self._desk.outdated(present)
                 if present is not None and why is not None:
                     # `watch` tries again; answers are refused meanwhile
                     with contextlib.suppress(RecordUnavailable, GrantEnded):

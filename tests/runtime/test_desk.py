@@ -773,6 +773,35 @@ async def test_nothing_launches_when_the_approval_cannot_be_recorded(
     await cell.expect("launch")
 
 
+async def test_a_denial_that_cannot_be_recorded_holds_until_it_can(
+    house: House, runtime: Runtime, cell: HandCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    document, question = await asked(runtime)
+
+    async def broken(*_: Any) -> list[int]:
+        raise RecordUnavailable("disk full")
+
+    monkeypatch.setattr(runtime.store, "append", broken)
+    with pytest.raises(RecordUnavailable):
+        await answer(runtime, question, decision="deny")
+    said_at = runtime.register.now()
+    house.wall_s.offset_s = 130.0  # its time is over meanwhile, and it was answered
+    with pytest.raises(RecordUnavailable):
+        await runtime.desk.expire_due()
+    monkeypatch.undo()
+    assert await refusal(runtime, question, who=OPERATOR_2) == "already_resolved"
+    monkeypatch.setattr(runtime.fleet.cell(CELL), "profile", "sim-relaxed")
+    await runtime.desk.decide_again()  # nobody would be asked there
+    assert not cell.all("launch")
+    await runtime.desk.expire_due()
+    ended = await runtime.governor.invocation(document["id"], AGENT)
+    assert (ended["status"], ended["outcome"]) == ("denied", "denied")
+    (said,) = [event for event in await runtime.governor.trace(document["id"], AUDITOR) if event["kind"] == "approval"]
+    denial = said["body"]["escalation"]["denial"]
+    assert (said["actor"], said["body"]["decision"], denial["at"]) == (OPERATOR.name, "deny", said_at)
+    assert await refusal(runtime, question) == "already_resolved"
+
+
 # -- silence and withdrawal ------------------------------------------------------------------------------------------
 
 
