@@ -192,7 +192,7 @@ class Takeovers(Handbacks):
         async with entry.lock:  # whoever had it before may be about to have it recorded
             renewed = how is Taking.PREEMPTED and cell.is_passing()  # by the same person, who has to have taken them
             if cell.control is None or (cell.control.lease != document["lease"] and not renewed):
-                raise Conflict("takeover_refused", f"the controls of `{cell.id}` were let go of meanwhile")
+                raise _lost(cell)
             self.desk.ask_again(principal)
             newest = entry.newest
             takeover = {**(newest.takeover or {}), **held}
@@ -218,7 +218,7 @@ class Takeovers(Handbacks):
             if present.status not in SESSION:
                 raise Conflict("wrong_status", f"`takeover` is not possible while the invocation is `{present.status}`")
             if cell.control is None or cell.control.invocation != invocation or cell.takings != mine:
-                raise Conflict("takeover_refused", f"the controls of `{cell.id}` were let go of meanwhile")
+                raise _lost(cell)
             self._allow_takeover(present.profile)  # again: another policy may be in force by now
             self.desk.ask_again(principal)
             self._same_site(cell)
@@ -393,8 +393,15 @@ class Takeovers(Handbacks):
 def _theirs(cell: Cell, document: dict[str, Any]) -> dict[str, Any]:
     """Return a lease that holds still: while it was recorded a stop, a lost link or silence may have ended it."""
     if cell.control is None or cell.control.lease != document["lease"]:
-        raise Conflict("takeover_refused", f"the controls of `{cell.id}` were let go of meanwhile")
+        raise _lost(cell)
     return document
+
+
+def _lost(cell: Cell) -> Conflict:
+    """Return why somebody has not what they took: by the time it was recorded another taking has it, or nobody."""
+    if cell.control is None:
+        return Conflict("takeover_refused", f"the controls of `{cell.id}` were let go of meanwhile")
+    return Conflict("takeover_refused", f"`{cell.control.holder}` has taken the controls of `{cell.id}` since")
 
 
 def _held_to(judgement: Judgement) -> None:

@@ -134,7 +134,8 @@ async def test_nobody_is_told_that_they_have_what_was_taken_from_them_while_that
         aside = asyncio.create_task(governor.estop(CELL, OPERATOR_2))
     await until(lambda: runtime.fleet.cell(CELL).control is None)
     gate.open.set()
-    assert (await refused(taking)).code == "takeover_refused"
+    lost = await refused(taking)
+    assert (lost.code, str(lost)) == ("takeover_refused", f"the controls of `{CELL}` were let go of meanwhile")
     await asyncio.wait({aside})
 
 
@@ -206,7 +207,8 @@ async def test_who_takes_the_controls_from_another_and_says_so_twice_drives_once
     await until(lambda: runtime.governor.cells()[0]["control"]["lease"] != shown["lease"])
     assert jog(runtime, LOCAL, runtime.governor.cells()[0]["control"], 1) == "not_holder"
     gate.open.set()
-    assert (await refused(first)).code == "takeover_refused"
+    lost = await refused(first)
+    assert (lost.code, str(lost)) == ("takeover_refused", f"`{LOCAL.name}` has taken the controls of `{CELL}` since")
     assert jog(runtime, LOCAL, await again, 2) is None
     told = await runtime.store.events(invocation=driving, kind=EventKind.HUMAN)
     said = [(event.actor, how) for event in told if (how := event.payload().get("how"))]
