@@ -2,6 +2,7 @@ import { afterEach, beforeEach, describe, expect, it, vi } from 'vitest';
 import { gamepadAxes, standardPad, Sticks } from '../src/lib/jog/bindings';
 import { JogKeys, pressesButton, type Key } from '../src/lib/jog/keyboard';
 import { jogNames } from '../src/lib/jog/layout';
+import { padWords } from '../src/lib/jog/words';
 import { Keys, pressedBySpace, takesKeys } from '../src/lib/keys/keys';
 import { HoldToRun, type Command, type Speeds } from '../src/lib/jog/hold';
 
@@ -53,6 +54,18 @@ describe('hold to run', () => {
     hold.hold('ArrowDown', 'base_x', -1);
     hold.release('pad');
     expect(hold.command().base[0]).toBe(0);
+  });
+
+  it('does not say that anything moves while opposite ways are held', () => {
+    const words = (): string => padWords({ covered: false, ready: true, running: hold.running, moves: hold.moves, refused: null });
+    hold.hold('ArrowUp', 'base_x', 1);
+    expect(words()).toBe('Moving while you hold');
+    hold.hold('ArrowDown', 'base_x', -1);
+    expect(words()).toBe('Not moving: you hold opposite ways');
+    hold.holdGrip('open');
+    expect(words()).toBe('Moving while you hold');
+    hold.releaseAll();
+    expect(words()).toBe('Hold to run; let go to stop');
   });
 
   it('lets go of everything when the window is left', () => {

@@ -78,6 +78,12 @@ export class HoldToRun {
     };
   }
 
+  /** Whether what is held asks for any motion: opposite ways ask for none. */
+  get moves(): boolean {
+    const { base, tool, grip } = this.command();
+    return grip !== null || [...base, ...tool].some((speed) => speed !== 0);
+  }
+
   private start(): void {
     this.send(this.command());
     this.timer ??= setInterval(() => this.send(this.command()), PERIOD_MS);
