@@ -76,4 +76,14 @@ describe('a lease that is remembered across a reload', () => {
     const { drive: reloaded } = await import('../src/lib/state/drive.svelte');
     expect(reloaded.next()).toBeGreaterThan(last);
   });
+
+  it('is for nothing to drive where no cell is known: the panel does not open, and closes where it was open', async () => {
+    const { drive } = await import('../src/lib/state/drive.svelte');
+    drive.toggle(null);
+    expect([drive.open, drive.toggles(null)]).toEqual([false, false]);
+    drive.toggle('workcell-1');
+    expect([drive.open, drive.toggles(null)]).toEqual([true, true]);
+    drive.toggle(null);
+    expect(drive.open).toBe(false);
+  });
 });

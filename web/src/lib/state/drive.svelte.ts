@@ -28,6 +28,16 @@ class Drive {
     });
   }
 
+  /** Whether the panel may be opened or closed: where no cell is known, there is nothing to drive. */
+  toggles(cell: string | null): boolean {
+    return this.open || cell !== null;
+  }
+
+  /** Opens the panel, or closes it, where it may be. */
+  toggle(cell: string | null): void {
+    if (this.toggles(cell)) this.open = !this.open;
+  }
+
   /** The number of the next command: it rises as long as the lease lives, over a reload and a look at another page. */
   next(): number {
     this.n += 1;
