@@ -538,11 +538,16 @@ def test_a_banner_that_moves_the_answers_keeps_fingers_off_them_for_a_moment(
     approve = person.button(re.compile("^Approve"))
     expect(approve).to_be_enabled()
     escalation = f"/v1/escalations/{server.get(f'/v1/invocations/{asked}')['escalation']['id']}"
+    seen = person.button("I have seen it")
+    seen.evaluate(PRESS_ONCE_MOVED)
     approve.evaluate(PRESS_ONCE_MOVED)
     assert server.post("/v1/cells/workcell-1/takeover", key="operator_2").is_success
     # Asked anew each time: what a page would have to evaluate by itself, its policy (unsafe-eval) forbids.
     assert until(lambda: person.page.evaluate("window.pressed"), what="a press").startswith("Approve")
     expect(approve).to_be_enabled()
     assert server.get(escalation)["approvals"] == []
+    assert server.get(escalation)["acknowledged"] == []
+    seen.click()
+    until(lambda: server.get(escalation)["acknowledged"] != [], what="somebody who has seen it")
     approve.click()
     until(lambda: server.get(escalation)["approvals"] != [], what="an approval")
