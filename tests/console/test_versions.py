@@ -138,6 +138,7 @@ def test_a_candidate_is_mended_compared_tried_put_in_force_by_two_and_undone(
 
     # two engineers put it in force
     say_why(view, "mugs slip at 60 N")
+    first.press("Enter")  # which ends what is written, and is no word
     first.page.evaluate("location.hash = '#/live'")
     expect(first.region("Waiting for")).to_be_visible()
     first.page.go_back()

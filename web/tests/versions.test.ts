@@ -176,6 +176,11 @@ describe('a version', () => {
     expect(deed(version(), active, who, live, null)?.barrier).toContain(why);
   });
 
+  it('is put in force, or given the second word, by nobody before it is compared', () => {
+    const waiting = version({ status: 'awaiting_second', awaiting: { by: 'ada', at: '', why: '', against: 'sha256:a' } });
+    for (const one of [version(), waiting]) expect(deed(one, active, bob, true, null)?.barrier).toBe('What it changes has to be compared first.');
+  });
+
   it('is put in force in the place of what is known to be', () => {
     expect(deed(version(), null, ada, true, null)?.barrier).toBe('What is in force is not known yet.');
   });

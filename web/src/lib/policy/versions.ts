@@ -84,11 +84,12 @@ function labelOf(of: Situation): string {
   return active?.activations.at(-1)?.former === version.digest ? 'Roll back to this' : 'Put in force again';
 }
 
-function barrierOf({ who, live, active }: Situation, first: string | null): string | null {
+function barrierOf({ who, live, active, found }: Situation, first: string | null): string | null {
   if (who?.role !== 'engineer') return 'Engineers put versions in force; you may look.';
   if (!live) return 'The link is down: nothing but a stop is sent.';
   if (active === null) return 'What is in force is not known yet.';
   if (first === who.name) return 'You gave the first word: another engineer has to give the second.';
+  if (found === null) return 'What it changes has to be compared first.';
   return null;
 }
 
