@@ -31,9 +31,23 @@ describe('a stop', () => {
     expect(pressed).toBe(2);
   });
 
-  it('is pressed by a key, and by what presses without a finger', () => {
+  it('is pressed by what presses without a finger', () => {
     click(10_000, 0);
     click(20_000);
     expect(pressed).toBe(2);
+  });
+
+  it.each(['Enter', ' '])('is pressed once by a key (%j) as that comes down, however long it is held', (key) => {
+    let kept = 0;
+    const keyed = (repeat: boolean): void => stop.onkeydown({ key, repeat, preventDefault: () => (kept += 1) } as unknown as KeyboardEvent);
+    keyed(false);
+    expect(pressed).toBe(1);
+    for (let n = 0; n < 30; n += 1) keyed(true);
+    expect([pressed, kept]).toEqual([1, 31]); // or the browser clicks as well
+  });
+
+  it('leaves every other key to the browser', () => {
+    stop.onkeydown({ key: 'Tab', repeat: false, preventDefault: () => expect.fail() } as unknown as KeyboardEvent);
+    expect(pressed).toBe(0);
   });
 });

@@ -5,11 +5,12 @@ interface Handlers {
   onpointerdown: (event: PointerEvent) => void;
   onpointerup: (event: PointerEvent) => void;
   onclick: (event: MouseEvent) => void;
+  onkeydown: (event: KeyboardEvent) => void;
 }
 
 /**
- * How what restrains, a stop or a pause, is pressed: at once when a finger comes down, which it does not wait for to come up; by a key; and by what
- * presses without a finger. One press is one word, however it is heard.
+ * How what restrains, a stop or a pause, is pressed: at once when a finger or a key comes down, which it does not wait for to come up; and by what
+ * presses without either. One press is one word, however it is heard.
  */
 export function atOnce(press: () => void): Handlers {
   let fingerMs = -Infinity;
@@ -24,6 +25,12 @@ export function atOnce(press: () => void): Handlers {
     },
     onclick({ detail, timeStamp }) {
       if (detail === 0 || timeStamp - fingerMs > FINGER_MS) press();
+    },
+    // A browser clicks for Space as that is let go, and once more for each time that Enter repeats.
+    onkeydown(event) {
+      if (event.key !== ' ' && event.key !== 'Enter') return;
+      event.preventDefault();
+      if (!event.repeat) press();
     },
   };
 }
