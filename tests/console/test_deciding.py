@@ -118,6 +118,11 @@ def test_a_question_appears_and_is_answered_by_one_key_and_a_denial_gives_the_ag
     expect(person.alert("Waiting for you: Grasp mug_1, medium risk.")).to_be_attached()
     expect(person.button(re.compile("^Deny"))).to_be_focused()
     expect(person.page.get_by_role("row", name=re.compile("^Grip force|^Force"))).to_contain_text("80")
+    seen = person.button("I have seen it")
+    seen.focus()
+    person.enter(seen)
+    expect(seen).to_have_count(0)
+    expect(card(person)).to_be_focused()  # what goes leaves whoever was at it with the question
     reasons = card(person).get_by_label("Reason if denied")
     press_until(person, "d", gone=person.page.locator(":not(select):focus"))
     expect(reasons).to_be_focused()  # a denial needs a reason, and here none suggests itself

@@ -201,8 +201,10 @@ def test_a_session_is_paused_by_one_key_however_often_resumed_by_another_and_a_r
     said = [event["body"]["op"] for event in trace if event["kind"] == "human"]
     assert said == ["pause", "pause", "resume", "resume"] * 2  # the server says it, and the cell that it has done it
 
+    person.button("Pause").focus()
     floor.clear()
     expect(robot(person)).to_contain_text("Idle")
+    expect(person.page.locator("main")).to_be_focused()  # the button went with the session
     person.expects("status of 409")
     floor.drive_off()
     expect(robot(person)).to_contain_text("Running")

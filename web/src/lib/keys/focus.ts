@@ -1,4 +1,5 @@
 import { tick } from 'svelte';
+import type { Attachment } from 'svelte/attachments';
 
 /**
  * Gives the focus to a place, or else to the page, where what had it is gone or could not keep it: by keyboard one goes
@@ -12,6 +13,14 @@ export async function goOnFrom(place: () => HTMLElement | null | undefined): Pro
 
 export function goOnFromPage(): Promise<void> {
   return goOnFrom(() => null);
+}
+
+/** Over what goes by itself, or once it is pressed: whoever was at it goes on from the place, or else from the page. */
+export function goesOn(place: (from: HTMLElement) => HTMLElement | null = () => null): Attachment<HTMLElement> {
+  return (element) => {
+    const next = place(element);
+    return () => void goOnFrom(() => (next?.isConnected === true ? next : null));
+  };
 }
 
 /**
