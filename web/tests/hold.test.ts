@@ -1,5 +1,5 @@
 import { afterEach, beforeEach, describe, expect, it, vi } from 'vitest';
-import { gamepadAxes, standardPad, Sticks } from '../src/lib/jog/bindings';
+import { gamepadAxes, plugged, standardPad, Sticks } from '../src/lib/jog/bindings';
 import { JogKeys, pressesButton, type Key } from '../src/lib/jog/keyboard';
 import { jogNames } from '../src/lib/jog/layout';
 import { padWords } from '../src/lib/jog/words';
@@ -89,6 +89,12 @@ describe('a gamepad', () => {
     const rest = gamepadAxes({ axes: [0.1, -0.1, 0.05, 0.17], buttons: [] });
     expect(Object.values(rest).every((value) => value === 0)).toBe(true);
     expect(gamepadAxes({ axes: [0, -1, 0, 0], buttons: [] }).base_x).toBeCloseTo(1);
+  });
+
+  it('holds nothing by what is no number, nor where the browser does not say what is held', () => {
+    expect(gamepadAxes({ axes: [NaN, NaN], buttons: [] })).toMatchObject({ base_x: 0, base_y: 0 });
+    const forbidden = { getGamepads: () => { throw new DOMException('no', 'SecurityError'); } };
+    expect([plugged(forbidden), plugged({}), plugged({ getGamepads: () => [null] })]).toEqual([[], [], [null]]);
   });
 
   const pad = (y: number, index = 0, id = 'pad'): Parameters<Sticks['read']>[0] => ({ index, id, axes: [0, y, 0, 0], buttons: [] });

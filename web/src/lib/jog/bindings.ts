@@ -44,6 +44,15 @@ export function standardPad<P extends { connected: boolean; mapping: string; id:
   return { pad, other: pad === null ? (connected[0]?.id ?? '') : '' };
 }
 
+/** The gamepads that are plugged in. Over plain HTTP a browser may know of none; one that may not say holds nothing. */
+export function plugged(browser: Partial<Pick<Navigator, 'getGamepads'>>): readonly (Gamepad | null)[] {
+  try {
+    return browser.getGamepads?.() ?? [];
+  } catch {
+    return []; // a policy of the site's, as in a frame
+  }
+}
+
 /** The gamepads of a page, of which one drives. */
 export class Pads {
   private used: number | null = null;
@@ -59,7 +68,7 @@ export class Pads {
 export function gamepadAxes(pad: Pick<Pad, 'axes' | 'buttons'>): Record<Axis, number> {
   const axis = (k: number): number => {
     const value = pad.axes[k] ?? 0;
-    return Math.abs(value) < DEAD ? 0 : (value - Math.sign(value) * DEAD) / (1 - DEAD);
+    return Math.abs(value) >= DEAD ? (value - Math.sign(value) * DEAD) / (1 - DEAD) : 0; // and where it is no number
   };
   const button = (k: number): number => pad.buttons[k]?.value ?? 0;
   const lift = button(7) - button(6);
