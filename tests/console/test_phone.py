@@ -584,6 +584,26 @@ def test_no_finger_approves_a_question_that_is_out_of_sight(
     assert floor.settled(asked["id"])["status"] in {"running", "completed"}
 
 
+def test_of_a_page_that_is_magnified_what_is_asked_is_read_and_approved_by_keyboard_alone(
+    server: ServerProcess, people: People, floor: Floor
+) -> None:
+    person = people.sit(server, size=MAGNIFIED)
+    asked = floor.ask()
+    approve, read = person.button(re.compile("^Approve")), person.button("Read it first")
+    expect(person.button(re.compile("^Deny"))).to_be_enabled()
+    read.focus()
+    for _ in range(20):
+        person.enter(read)
+        person.page.wait_for_timeout(500)  # longer than a line takes to be read
+        if read.count() == 0:
+            break
+    expect(approve).to_be_enabled()
+    for _ in range(2):  # past Deny, and through nothing that would scroll it away
+        person.press("Tab")
+    person.enter(approve)
+    assert floor.settled(asked["id"])["status"] in {"running", "completed"}
+
+
 def test_on_a_phone_held_sideways_what_is_done_to_a_session_is_within_reach(
     server: ServerProcess, people: People, floor: Floor
 ) -> None:
