@@ -36,10 +36,14 @@ const MATERIAL = /\b\w+Material\b/g;
 const MIRRORED = /new PMREMGenerator\( renderer \)/g;
 /** What would have a scene mirror them. */
 const MIRRORS = /\b(?:environment|envMap)\b/;
+/** What lets a scene be shown in a headset. */
+const WORN = /new WebXRManager\( _this, _gl \)/g;
+/** In its place: nobody wears one, and all that a renderer asks of that. */
+const UNWORN = 'Object.assign(new EventDispatcher(), { enabled: false, isPresenting: false, getEnvironmentBlendMode: () => null, setAnimationLoop: () => {}, dispose: () => {} })';
 /** A table of numbers that only physically based materials look up. */
 const TABLE = /^const DATA = new Uint16Array\( \[[^\]]*\] \);$/m;
 
-/** Leaves out of the bundle the shaders of materials that nothing here is drawn with, 11 kB of three's 122, and what lets one mirror its surroundings, 3 kB; a scene that asks for either does not build. */
+/** Leaves out of the bundle the shaders of materials that nothing here is drawn with, 11 kB of three's 122, what lets one mirror its surroundings, 3 kB, and what shows it in a headset, 3 kB; a scene that asks for either does not build. */
 export function withoutOtherShaders(): Plugin {
   return {
     name: 'reins-without-other-shaders',
@@ -78,6 +82,7 @@ function lean(code: string): string {
   for (const shader of Object.values(SHADERS)) for (const part of ['vert', 'frag']) keep(`${shader}_${part}`);
   if (!TABLE.test(code)) throw new Error('three has no table `DATA` where lean.ts looks for it');
   if (code.search(MIRRORED) < 0) throw new Error('three has no `PMREMGenerator` where lean.ts looks for it');
+  if (code.search(WORN) < 0) throw new Error('three has no `WebXRManager` where lean.ts looks for it');
   const chunks = new Set(named.values());
-  return code.replace(TEXT, (whole, held: string) => (!chunks.has(held) || kept.has(held) ? whole : `const ${held} = "";`)).replace(TABLE, 'const DATA = new Uint16Array(0);').replace(MIRRORED, 'null');
+  return code.replace(TEXT, (whole, held: string) => (!chunks.has(held) || kept.has(held) ? whole : `const ${held} = "";`)).replace(TABLE, 'const DATA = new Uint16Array(0);').replace(MIRRORED, 'null').replace(WORN, UNWORN);
 }
