@@ -34,6 +34,7 @@ pytestmark = [pytest.mark.browser, pytest.mark.process]
 FIRMER = "grip_force_n: {max: 70,"
 SHIPPED = "grip_force_n: {max: 60,"
 PROFILE = "profiles/human-shared.yaml"
+GRASP = "capabilities/grasp_object.yaml"
 REFUSED = r"status of (403|409|422)"  # the browser's own note of a request that was refused
 # Presses what is offered in the very frame in which somebody else has made something else of it.
 PRESS_ONCE_OTHER = """(button) => {
@@ -280,6 +281,22 @@ def test_no_finger_that_was_moved_discards_a_candidate(changing: ServerProcess, 
         expect(discard).to_have_count(0)
 
 
+def test_parameters_of_one_name_in_words_are_compared_each_in_a_row_of_its_own(
+    changing: ServerProcess, people: People
+) -> None:
+    more = (
+        "    speed: {type: string, enum: [slow, quick], default: slow}\n    outcome: {type: boolean, default: true}\n"
+    )
+    wanted = kept(changing, "grip_force_n: {max: 70,", "a grasp takes more", more)
+    engineer = seat(people, changing, "engineer")
+    engineer.page.evaluate(f"location.hash = '#/policy/Versions/{wanted}'")
+    decisions = engineer.page.get_by_role("list", name="Decisions that come out otherwise").get_by_role("listitem")
+    grasp = decisions.filter(has_text="grasp_object under human-shared").first
+    expect(grasp.get_by_role("row", name="Grip force")).to_be_visible()
+    for name in ("Speed", "Outcome"):
+        expect(grasp.get_by_role("row", name=re.compile(f"^{name} "))).to_have_count(2)
+
+
 def test_a_word_is_given_for_the_change_that_was_read_and_for_no_other(changing: ServerProcess, people: People) -> None:
     # Another one comes into force while the list that says so is still on its way to this page.
     wanted, theirs = (kept(changing, f"grip_force_n: {{max: {force},", f"at most {force} N") for force in (45, 35))
@@ -381,12 +398,15 @@ def test_who_writes_a_candidate_is_told_that_another_version_came_into_force(
         put_in_force(changing, active)
 
 
-def kept(server: ServerProcess, bound: str, why: str) -> str:
-    """Bring what is in force with another bound; returns its digest."""
+def kept(server: ServerProcess, bound: str, why: str, more: str = "") -> str:
+    """Bring what is in force with another bound, and with more that a grasp takes; returns its digest."""
     active = server.get("/v1/policies/active")["version"]
     found = server.get(f"/v1/policies/{active}/files")
     files = {**found["files"], "properties.yaml": found["promises"]}
     files[PROFILE] = re.sub(r"grip_force_n: \{max: \d+,", bound, files[PROFILE])
+    if more:
+        wider = files[GRASP].replace("  properties:\n", f"  properties:\n{more}")
+        files[GRASP] = wider.replace("version: 1.0.0", "version: 1.1.0")
     with server.client("engineer") as client:
         answer = client.post("/v1/policies", json={"files": files, "why": why})
     assert answer.is_success, answer.text
