@@ -13,7 +13,7 @@ import pytest
 from playwright.sync_api import Route, expect
 
 from tests.conftest import ServerProcess, Servers, until
-from tests.console.conftest import DESK, PHONE, Floor, People, Person, box
+from tests.console.conftest import DESK, PHONE, THREE_FRAMES, Floor, People, Person, box
 
 pytestmark = [pytest.mark.browser, pytest.mark.process]
 # The share of the picture that is not its commonest colour, the empty background; names and buttons make little of it.
@@ -49,6 +49,19 @@ people:
     stay_s: {1: 900.0}
 """
 LOSE = "(canvas) => canvas.getContext('webgl2').getExtension('WEBGL_lose_context').loseContext()"
+# Has no picture really drawn before a while is over, as on a machine that cannot keep up.
+SLOWLY = """(() => {
+    const { fenceSync, getSyncParameter } = WebGL2RenderingContext.prototype, begun = new WeakMap();
+    WebGL2RenderingContext.prototype.fenceSync = function (...how) {
+        const fence = fenceSync.apply(this, how);
+        begun.set(fence, performance.now());
+        return fence;
+    };
+    WebGL2RenderingContext.prototype.getSyncParameter = function (fence, what) {
+        return performance.now() - begun.get(fence) < 70 ? this.UNSIGNALED : getSyncParameter.call(this, fence, what);
+    };
+})();"""
+COARSEST = 0.8  # of the window's width is the picture's own, where it is drawn as coarsely as it ever is
 MUCH = 0.2
 LOST = 2  # how often what draws is lost on its way
 
@@ -228,6 +241,26 @@ def test_the_camera_is_turned_by_keys_where_tab_has_led_and_nowhere_else(
     expect(person.page.get_by_text("Moving while you hold")).to_be_visible()
     person.page.keyboard.up("ArrowDown")
     assert camera(person) == stood
+
+
+@pytest.mark.drawn
+def test_a_picture_that_is_drawn_more_coarsely_is_still_the_one_from_where_the_camera_stood(
+    server: ServerProcess, people: People, floor: Floor
+) -> None:
+    person = people.sit(server, init=SLOWLY)
+    scene = person.region("The cell in 3D")
+    picture, bench = scene.locator("canvas"), scene.locator(".labels span", has_text="bench_a")
+    until(lambda: drawn(person) > MUCH, what="a cell that is drawn")
+    floor.drive_off()
+    expect(scene.get_by_text("planned path")).to_be_visible()
+    person.page.evaluate(THREE_FRAMES)
+    stood = bench.get_attribute("style")
+    until(
+        lambda: picture.evaluate(f"(it) => it.width < {COARSEST} * it.clientWidth") or person.page.wait_for_timeout(50),
+        what="a picture that is drawn more coarsely",
+    )
+    person.page.evaluate(THREE_FRAMES)
+    assert bench.get_attribute("style") == stood
 
 
 @pytest.mark.drawn

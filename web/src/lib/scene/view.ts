@@ -334,8 +334,8 @@ export class CellView {
     const wanted = this.slow > 20 ? Math.max(LEAST_RATIO, ratio * 0.85) : this.slow < -200 ? Math.min(this.ratio, ratio / 0.85) : ratio;
     if (wanted === ratio) return;
     this.slow = 0;
-    this.renderer.setPixelRatio(wanted);
-    this.resize(this.host.clientWidth, this.host.clientHeight);
+    this.renderer.setPixelRatio(wanted); // the window is as large as it was: the camera stays where it is
+    this.draw();
   }
 }
 
