@@ -56,7 +56,7 @@ export class CameraRig {
     this.controls.minDistance = 1;
     this.controls.maxDistance = 30;
     this.controls.addEventListener('change', () => this.changed());
-    this.controls.addEventListener('start', () => (this.pulled = false));
+    this.controls.addEventListener('start', () => (this.pulled ??= false)); // once more for each further finger
     this.controls.addEventListener('end', () => this.letGo());
     canvas.addEventListener('keydown', (event) => this.press(event));
     // Who pulls at it with the mouse has not gone there: arrows go on stepping through a record.

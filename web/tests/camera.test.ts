@@ -1,0 +1,53 @@
+import { Vector3 } from 'three';
+import { afterEach, beforeEach, expect, it, vi } from 'vitest';
+import { CameraRig, type View } from '../src/lib/scene/camera';
+import type { Scenery } from '../src/lib/scene/framing';
+import { tab } from '../src/lib/state/tab';
+
+const ALONE: Scenery = { robot: [1.6, 4.3], reachM: 1.4, people: [], path: [], things: [] };
+const VISITED: Scenery = { ...ALONE, people: [[7, 1]] };
+let still = false;
+
+class Canvas extends EventTarget {
+  readonly style = {};
+  readonly ownerDocument = new EventTarget();
+
+  getRootNode(): EventTarget {
+    return this.ownerDocument;
+  }
+}
+
+function rig(): { camera: CameraRig; views: (View | null)[]; at: () => Vector3 } {
+  const views: (View | null)[] = [];
+  const camera = new CameraRig(new Canvas() as unknown as HTMLElement, () => undefined, (view) => views.push(view));
+  camera.resize(800, 600);
+  camera.frame([0, 0, 8, 6]);
+  camera.show(ALONE, true);
+  return { camera, views, at: () => camera.camera.position.clone() };
+}
+
+/** A finger comes down on the picture, or one more; the last one is lifted. */
+const down = ({ controls }: CameraRig): void => controls.dispatchEvent({ type: 'start' });
+const up = ({ controls }: CameraRig): void => controls.dispatchEvent({ type: 'end' });
+
+beforeEach(() => {
+  still = false;
+  tab.drop('reins.camera');
+  vi.stubGlobal('matchMedia', () => ({ matches: still }));
+  vi.useFakeTimers({ toFake: ['performance'] });
+});
+afterEach(() => {
+  vi.unstubAllGlobals();
+  vi.useRealTimers();
+});
+
+it('knows a picture that two fingers have moved as steered, however they are lifted', () => {
+  const { camera, views } = rig();
+  down(camera);
+  down(camera);
+  camera.controls.dollyIn(0.8);
+  down(camera); // of two fingers one is left
+  up(camera);
+  expect(views.at(-1)).toBeNull();
+});
+
