@@ -51,3 +51,19 @@ it('knows a picture that two fingers have moved as steered, however they are lif
   expect(views.at(-1)).toBeNull();
 });
 
+it('goes on from where it stands when somebody lets go who has not moved it', () => {
+  const { camera, at } = rig();
+  const before = at();
+  camera.show(VISITED, true);
+  down(camera);
+  vi.advanceTimersByTime(3_000);
+  expect(camera.advance(performance.now())).toBe(false);
+  up(camera);
+  vi.advanceTimersByTime(16);
+  expect(camera.advance(performance.now())).toBe(true);
+  const first = at().distanceTo(before);
+  vi.advanceTimersByTime(3_000);
+  expect(camera.advance(performance.now())).toBe(false);
+  expect(first).toBeLessThan(0.2 * at().distanceTo(before));
+});
+

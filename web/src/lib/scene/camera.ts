@@ -89,7 +89,13 @@ export class CameraRig {
     const pulled = this.pulled === true;
     this.pulled = null;
     if (pulled) this.steered();
-    else this.moved();
+    else this.goOn();
+  }
+
+  /** Goes on from here to where it was going: the time for which somebody had hold of the picture is not made up for. */
+  private goOn(): void {
+    this.wentMs = performance.now();
+    this.moved();
   }
 
   private steered(): void {
