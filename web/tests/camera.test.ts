@@ -67,3 +67,14 @@ it('goes on from where it stands when somebody lets go who has not moved it', ()
   expect(first).toBeLessThan(0.2 * at().distanceTo(before));
 });
 
+it('takes a picture that moved by itself under a finger for no steering', () => {
+  still = true;
+  const { camera, views, at } = rig();
+  const before = at();
+  down(camera);
+  camera.show(VISITED, true);
+  up(camera);
+  expect(at().distanceTo(before)).toBeGreaterThan(1);
+  expect(views.at(-1)).toBe('scene');
+});
+

@@ -157,7 +157,7 @@ export class CameraRig {
     const before = this.camera.position.distanceTo(position);
     this.camera.position.lerp(position, part);
     this.controls.target.lerp(target, part);
-    this.controls.update();
+    this.look();
     const left = this.camera.position.distanceTo(position);
     if (left < THERE_M || (part > 0 && left >= before)) this.goal = null; // as far as it may go
     return this.goal !== null;
@@ -198,7 +198,7 @@ export class CameraRig {
     if (shift.lengthSq() < 1e-5) return;
     this.camera.position.add(shift);
     this.controls.target.add(shift);
-    this.controls.update();
+    this.look();
   }
 
   resize(width: number, height: number): void {
@@ -231,8 +231,15 @@ export class CameraRig {
     this.goal = null;
     this.camera.position.copy(position);
     this.controls.target.copy(target);
-    this.controls.update();
+    this.look();
     this.moved();
+  }
+
+  /** Looks at its target from where it was put: that is not the doing of who has hold of the picture. */
+  private look(): void {
+    const { pulled } = this;
+    this.controls.update();
+    this.pulled = pulled;
   }
 
   private goBehind(robot: Vector3): void {
