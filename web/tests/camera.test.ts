@@ -78,3 +78,10 @@ it('takes a picture that moved by itself under a finger for no steering', () => 
   expect(views.at(-1)).toBe('scene');
 });
 
+it('fits the view of a whole cell to each cell that it is shown', () => {
+  const { camera, at } = rig();
+  camera.view('top');
+  const before = at();
+  camera.frame([0, 0, 20, 15]);
+  expect(at().z).toBeGreaterThan(1.5 * before.z);
+});

@@ -109,12 +109,16 @@ export class CameraRig {
     this.chose(view);
   }
 
-  /** Has another cell before it, of these bounds; the first is framed, unless this tab remembers where its camera stood. */
+  /** Has another cell before it, of these bounds: a view of all of it is fitted to them; the first is framed, unless this tab remembers where its camera stood. */
   frame(bounds: Bounds): void {
     const first = this.bounds === null;
     this.bounds = bounds;
     this.outline = [];
-    if (!first || this.lent !== null) return;
+    if (this.lent !== null) return;
+    if (!first) {
+      if (this.chosen !== 'scene') this.fitAgain(); // what goes on is shown as soon as it is known
+      return;
+    }
     const kept = read();
     if (kept === null) this.view('scene');
     else this.restore(kept);
