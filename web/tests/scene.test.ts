@@ -1,5 +1,5 @@
 import { PerspectiveCamera, Vector3 } from 'three';
-import { clear, within } from '../src/lib/scene/labels';
+import { clear, hides, within } from '../src/lib/scene/labels';
 import { describe, expect, it } from 'vitest';
 import { fitted, framed, heldInSight, outlineOf, seesAll, wholeCell, type Covered, type Scenery } from '../src/lib/scene/framing';
 import { gapTo, guardAt, leastGap, outline, type Guard, type Spot } from '../src/lib/scene/separation';
@@ -75,6 +75,11 @@ describe('a name in the scene', () => {
   it('stands clear of another by a space, or on another line', () => {
     const [name, below, beside, touching] = [{ x: 50, y: 50, half: 20 }, { x: 60, y: 66, half: 20 }, { x: 99, y: 52, half: 20 }, { x: 92, y: 52, half: 20 }];
     expect([below, beside, touching].map((other) => clear(name, other))).toEqual([true, true, false]);
+  });
+
+  it('hides what a box would lie over, and nothing beside it', () => {
+    const figure = { x: 217, y: 203, half: 32 };
+    expect([{ x: 200, y: 192 }, { x: 260, y: 203 }, { x: 217, y: 160 }].map((robot) => hides(figure, robot))).toEqual([true, false, false]);
   });
 
   it('is moved in from the edge, and is none where its point is out of sight', () => {

@@ -7,6 +7,8 @@ export interface Label {
   tone: 'plain' | 'accent' | 'warn' | 'danger';
   /** A figure that is read first stands in a box. */
   boxed?: boolean;
+  /** What it must not hide: in a small picture it is left out. */
+  clearOf?: Vector3;
 }
 
 /** Which names stand where several would cover each other. */
@@ -35,10 +37,19 @@ export function clear(a: Spot, b: Spot): boolean {
   return Math.abs(a.y - b.y) > LINE_PX || Math.abs(a.x - b.x) > a.half + b.half + APART_PX;
 }
 
+function onScreen(at: Vector3, camera: Camera, width: number, height: number): Vector3 {
+  const { x, y, z } = at.clone().project(camera);
+  return new Vector3(((x + 1) / 2) * width, ((1 - y) / 2) * height, z);
+}
+
+/** Whether a box hides what is at a point, or so much of what stands around it that it could not be told. */
+export function hides({ x, y, half }: Spot, at: { x: number; y: number }): boolean {
+  return Math.abs(at.x - x) < half + APART_PX && Math.abs(at.y - y) < LINE_PX + APART_PX;
+}
+
 /** Keeps one element per label, and puts each where its point is on the screen. */
 export class Labels {
   private readonly elements = new Map<string, HTMLElement>();
-  private readonly point = new Vector3();
 
   constructor(private readonly layer: HTMLElement) {}
 
@@ -68,18 +79,18 @@ export class Labels {
     if (element.textContent !== label.text) element.textContent = label.text;
     element.dataset['tone'] = label.tone;
     element.classList.toggle('boxed', label.boxed === true);
-    this.point.copy(label.at).project(camera);
+    const at = onScreen(label.at, camera, width, height);
     const half = (label.text.length * LETTER_PX) / 2 + (label.boxed === true ? BOX_PX : 0);
-    const x = within(((this.point.x + 1) / 2) * width, half + EDGE_PX, width);
-    const y = ((1 - this.point.y) / 2) * height;
+    const x = within(at.x, half + EDGE_PX, width);
+    const { y } = at;
     if (x === null) {
       element.hidden = true;
       return;
     }
     const spot: Spot = { x, y, half };
     // A name that would cover another is left out: two in one place are none.
-    const free = taken.every((other) => clear(other, spot));
-    element.hidden = this.point.z > 1 || !free;
+    const free = taken.every((other) => clear(other, spot)) && !(label.clearOf !== undefined && hides(spot, onScreen(label.clearOf, camera, width, height)));
+    element.hidden = at.z > 1 || !free;
     if (!element.hidden) taken.push(spot);
     element.style.transform = `translate(-50%, -50%) translate(${x.toFixed(1)}px, ${y.toFixed(1)}px)`;
   }

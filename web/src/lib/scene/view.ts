@@ -20,6 +20,8 @@ const NAMED_FURNITURE = /^(.*)_body$/;
 const HEAD_M = 0.28;
 const BESIDE_M = 0.62;
 const FIGURE_M = 0.3;
+/** The middle of a robot, m above the floor. */
+const WAIST_M = 0.5;
 const ROBOT_SHADOW_M = 0.5;
 const PERSON_SHADOW_M = 0.3;
 
@@ -260,7 +262,7 @@ export class CellView {
       const [x, y] = middle(zone.polygon);
       found.set(`zone ${zone.name}`, { text: zone.name, at: new Vector3(x, y, 0.02), tone: this.trouble.zones.has(zone.name) ? 'danger' : 'plain' });
     }
-    if (this.gap !== null && this.trouble.figure !== null) found.set('gap', { text: this.trouble.figure, at: this.beside(this.gap), tone: 'danger', boxed: true });
+    if (this.gap !== null && this.trouble.figure !== null) found.set('gap', { text: this.trouble.figure, at: this.beside(this.gap), tone: 'danger', boxed: true, clearOf: this.robot.clone().setZ(WAIST_M) });
     this.people().forEach((at, k) => found.set(`person ${k}`, { text: `person ${k + 1}`, at: at.setZ(1.75 + HEAD_M), tone: 'warn' }));
     return found;
   }
