@@ -17,10 +17,12 @@ class Canvas extends EventTarget {
   }
 }
 
-function rig(): { camera: CameraRig; views: (View | null)[]; at: () => Vector3 } {
+/** `driven` from before it is known which cell is shown, as where the page was loaded anew. */
+function rig(driven = false): { camera: CameraRig; views: (View | null)[]; at: () => Vector3 } {
   const views: (View | null)[] = [];
   const camera = new CameraRig(new Canvas() as unknown as HTMLElement, () => undefined, (view) => views.push(view));
   camera.resize(800, 600);
+  if (driven) camera.attend(true, new Vector3());
   camera.frame([0, 0, 8, 6]);
   camera.show(ALONE, true);
   return { camera, views, at: () => camera.camera.position.clone() };
@@ -84,4 +86,12 @@ it('fits the view of a whole cell to each cell that it is shown', () => {
   const before = at();
   camera.frame([0, 0, 20, 15]);
   expect(at().z).toBeGreaterThan(1.5 * before.z);
+});
+
+it('goes back to what was chosen once nobody drives, also where the page was loaded anew meanwhile', () => {
+  rig().camera.view('top');
+  const { camera, views } = rig(true);
+  expect(views.at(-1)).toBe('follow');
+  camera.attend(false, new Vector3());
+  expect(views.at(-1)).toBe('top');
 });

@@ -112,16 +112,13 @@ export class CameraRig {
   /** Has another cell before it, of these bounds: a view of all of it is fitted to them; the first is framed, unless this tab remembers where its camera stood. */
   frame(bounds: Bounds): void {
     const first = this.bounds === null;
+    const kept = first ? read() : null;
     this.bounds = bounds;
     this.outline = [];
-    if (this.lent !== null) return;
-    if (!first) {
-      if (this.chosen !== 'scene') this.fitAgain(); // what goes on is shown as soon as it is known
-      return;
-    }
-    const kept = read();
-    if (kept === null) this.view('scene');
-    else this.restore(kept);
+    if (this.lent !== null) this.lent = kept ?? this.lent; // for when whoever drives already hands it back
+    else if (kept !== null) this.restore(kept);
+    else if (first) this.view('scene');
+    else if (this.chosen !== 'scene') this.fitAgain(); // what goes on is shown as soon as it is known
   }
 
   /** Shows all of what goes on, where that is the view that was chosen; it is framed anew where it is something else, or was about to go out of sight. */
