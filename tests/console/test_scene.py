@@ -177,6 +177,22 @@ def test_who_comes_to_a_robot_that_holds_sees_the_violated_distance_in_red(
 
 
 @pytest.mark.drawn
+def test_a_replay_shows_people_clear_of_what_it_says_of_them(crossed: ServerProcess, people: People) -> None:
+    session = held_anew(crossed)
+    crossed.await_status(session, "escalated")
+    crossed.post(f"/v1/invocations/{session}/cancel")
+    crossed.await_status(session, "completed", "failed")
+    person = people.sit(crossed, size=PHONE)
+    person.page.evaluate(f"location.hash = '#/audit/{session}'")
+    said = person.page.get_by_text("People stand where the tracker saw them")
+    name = person.page.locator(".labels span", has_text="person 1")
+    expect(said).to_be_visible()
+    person.page.get_by_role("slider").press("End")
+    expect(name).to_be_visible()
+    until(lambda: box(name)["y"] >= box(said)["y"] + box(said)["height"], within_s=5.0, what="a name clear of words")
+
+
+@pytest.mark.drawn
 def test_the_cell_is_drawn_and_drawn_again_in_either_theme_after_the_graphics_were_lost(
     server: ServerProcess, people: People, floor: Floor
 ) -> None:
