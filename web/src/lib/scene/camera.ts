@@ -54,7 +54,7 @@ export class CameraRig {
     this.controls.enableDamping = false;
     this.controls.maxPolarAngle = MathUtils.degToRad(87);
     this.controls.minDistance = 1;
-    this.controls.maxDistance = 30;
+    this.controls.maxDistance = 60;
     this.controls.addEventListener('change', () => this.changed());
     this.controls.addEventListener('start', () => (this.pulled ??= false)); // once more for each further finger
     this.controls.addEventListener('end', () => this.letGo());
