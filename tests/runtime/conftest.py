@@ -7,6 +7,7 @@ import shutil
 from collections.abc import AsyncGenerator, AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, field
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -191,6 +192,13 @@ class HandCell:
 
     def ops(self) -> list[str]:
         return [message.op for message in self.all("human")]
+
+    def told(self) -> list[str]:
+        """What `ops` says, with what was said again while nobody said that it was heard told once.
+
+        A session that is to hold is told every 0.2 s until it says that it holds, and a busy machine takes longer.
+        """
+        return [op for op, _ in groupby(self.ops())]
 
     async def expect(self, kind: str, count: int = 1) -> Any:
         await until(lambda: len(self.all(kind)) >= count)

@@ -430,7 +430,7 @@ async def test_whoever_drives_what_had_departed_drives_on_after_a_pause(runtime:
     await cell.report("human", session, op="pause")
     await cell.report("status", session, status="paused", reason="operator")
     await runtime.governor.resume(session, OPERATOR)
-    await until(lambda: cell.ops() == ["escalate", "pause", "resume"])
+    await until(lambda: cell.told() == ["escalate", "pause", "resume"])
 
 
 async def test_whoever_takes_over_what_departed_while_it_recovers_keeps_the_controls(

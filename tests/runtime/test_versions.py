@@ -1028,12 +1028,12 @@ async def test_whoever_took_a_session_that_had_departed_drives_on_under_the_next
     await asyncio.sleep(3 * AGAIN_S)
     driven = runtime.fleet.cell(cell.id).control
     assert driven is not None
-    assert (driven.lease, cell.ops()) == (lease, ["escalate"])
+    assert (driven.lease, cell.told()) == (lease, ["escalate"])
     said = [body["intervention"] for body in await bodies(runtime, "intervention")]
     assert said == ["ESCALATE", "CONTINUE"], "whoever drives was told nothing"
     await put_in_force(runtime, edited(ORGANIZATION, "rules:\n", f"rules:\n{NO_HAND}", SLOWER))
     runtime.governor.loosen_hands()
-    await until(lambda: cell.ops()[:2] == ["escalate", "let_go"])  # and maybe told to hold, before anybody looks
+    await until(lambda: cell.told()[:2] == ["escalate", "let_go"])  # and maybe told to hold, before anybody looks
     await cell.report("status", made["id"], status="escalated", reason="control_lapsed")
     asked = runtime.desk.pending_for(made["id"])
     assert asked is not None
@@ -1152,7 +1152,7 @@ async def test_what_cannot_be_compared_is_held_and_all_others_are_compared(
 
     monkeypatch.setattr(kernel, "departure", broken)
     await put_in_force(runtime, SLOWER)
-    assert (cell.ops(), other.ops()) == (["escalate"], ["escalate"])
+    assert (cell.told(), other.told()) == (["escalate"], ["escalate"])
     for each, name in ((cell, made["id"]), (other, second["id"])):
         await each.report("status", name, status="escalated", reason="policy_changed")
         await each.report("escalation", name, reason="policy_changed")
