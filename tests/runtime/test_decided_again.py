@@ -152,8 +152,7 @@ async def test_a_grant_is_nobody_of_those_whom_a_hand_back_takes(runtime: Runtim
     await cell.expect("launch")
     await cell.launched(made["id"])
     await put_in_force(runtime, TWO)
-    await runtime.governor.take_over(made["id"], OPERATOR)
-    await cell.report("launch", made["id"], capability="takeover")
+    await taken(runtime, cell, made["id"])
     async with stating(cell, status="running"):
         with pytest.raises(Conflict, match="more approvals") as refused:
             await runtime.governor.release(made["id"], OPERATOR, "resume")
