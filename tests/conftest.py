@@ -61,7 +61,8 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """
     if os.environ.get("REINS_TESTS_AGAIN"):
         for item in items:
-            if any(item.get_closest_marker(name) for name in ("process", "browser")):
+            # What awaits something, awaits a clock: much of the server counts tenths of seconds.
+            if any(item.get_closest_marker(name) for name in ("process", "browser", "anyio")):
                 item.add_marker(pytest.mark.flaky(reruns=3, only_rerun=".*", condition=partial(run_again, item)))
 
 
