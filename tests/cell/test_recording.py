@@ -324,6 +324,23 @@ def test_what_cannot_be_written_by_the_thread_ends_the_session(rig: Rig, slow: S
     assert after_a_restart(rig).marks.get("open") is None
 
 
+@pytest.mark.parametrize("behind", [False, True], ids=["whoever ticks", "a thread"])
+def test_a_session_that_has_nothing_to_say_stops_where_its_journal_is_gone(rig: Rig, behind: bool) -> None:
+    rig.cell.script.ticks = 10_000.0
+    if behind:
+        rig.runner.write_behind()
+    rig.launch()
+    rig.ticks(60)
+    rig.runner.settle()
+    told = len(rig.entries)
+    rig.journal.path.unlink()
+    rig.ticks(CATCHING_UP)
+    until(lambda: rig.ticks(1) or rig.runner.invocation is None)
+    assert not rig.moving()
+    assert "deleted under the process" in rig.runner.view().fault
+    assert (rig.runner.view().unsaid, rig.entries[told:]) == ({"inv-1": ("fault", "journal_unavailable")}, [])
+
+
 def test_nothing_moves_where_what_writes_the_journal_broke(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
     rig.cell.script.ticks = 10_000.0
     rig.runner.write_behind()
