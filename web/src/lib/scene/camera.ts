@@ -1,11 +1,10 @@
 import { OrbitControls } from 'three/examples/jsm/controls/OrbitControls.js';
 import { MathUtils, PerspectiveCamera, Vector3 } from 'three';
 import { tab } from '../state/tab';
-import { fitted, framed, heldInSight, outlineOf, seesAll, UNCOVERED, wholeCell, type Covered, type Scenery } from './framing';
+import { fitted, framed, heldInSight, outlineOf, seesAll, UNCOVERED, WAIST_M, wholeCell, type Bounds, type Covered, type Scenery } from './framing';
 
 /** What goes on, the whole cell from its corner or from above, or the robot wherever it drives. */
 export type View = 'scene' | 'overview' | 'top' | 'follow';
-type Bounds = readonly [number, number, number, number];
 
 const KEY = 'reins.camera';
 /** From where a view looks at the middle of what it shows, of any length. A flat window is filled best from low down. */
@@ -19,9 +18,8 @@ const EASE_MS = 160;
 const THERE_M = 0.004;
 const TURN_RAD = MathUtils.degToRad(5);
 const NEARER = 0.9;
-/** From where the robot is followed, and at which height it is looked at, m. */
+/** From where the robot is followed, m. */
 const BEHIND = new Vector3(-1.2, -3.6, 2.6);
-const WAIST_M = 0.5;
 
 interface Kept {
   /** The view that was chosen, if nobody has steered since: it is fitted anew to whatever window there is. */

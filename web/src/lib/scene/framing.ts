@@ -1,7 +1,8 @@
 import { MathUtils, Vector3, type PerspectiveCamera } from 'three';
 import type { Spot } from './separation';
 
-type Bounds = readonly [number, number, number, number];
+/** Of a cell on its ground plane: x0, y0, x1, y1, m. */
+export type Bounds = readonly [number, number, number, number];
 
 /** How much of the window's height is covered by what lies over the picture, above and below, 0 to 1. */
 export interface Covered {
@@ -23,6 +24,8 @@ export interface Scenery {
 export const UNCOVERED: Covered = { above: 0, below: 0 };
 /** What stands in a cell is about so high, and a person with a name above them, m. */
 const TALL_M = 1.3;
+/** The middle of a robot, m above the floor. */
+export const WAIST_M = 0.5;
 const PERSON_M = 2;
 const BESIDE_M = 0.4;
 const HULL_M = 0.6;

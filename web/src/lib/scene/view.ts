@@ -4,7 +4,7 @@ import type { PoseFrame } from '../socket/frame';
 import { buildBodies, dispose, isPerson, place as put, type Bodies } from './build';
 import { CameraRig, type View } from './camera';
 import { buildGround, shadow } from './ground';
-import type { Covered } from './framing';
+import { WAIST_M, type Covered } from './framing';
 import { Labels, type Label } from './labels';
 import { moved } from './motion';
 import { Overlay } from './overlay';
@@ -20,8 +20,6 @@ const NAMED_FURNITURE = /^(.*)_body$/;
 const HEAD_M = 0.28;
 const BESIDE_M = 0.62;
 const FIGURE_M = 0.3;
-/** The middle of a robot, m above the floor. */
-const WAIST_M = 0.5;
 const ROBOT_SHADOW_M = 0.5;
 const PERSON_SHADOW_M = 0.3;
 
