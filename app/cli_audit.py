@@ -55,17 +55,23 @@ INTERRUPTION = "interrupted"
 def verify(
     data: Data = Path("data"),
     key: Annotated[Path | None, typer.Option(help="The log's public key as kept elsewhere; default: log.pub.")] = None,
+    checkpoint: Annotated[
+        Path | None,
+        typer.Option(help="A checkpoint kept elsewhere, or a copy of checkpoints.log: is it of this very log?"),
+    ] = None,
 ) -> None:
     """Recompute the whole log from the stored bytes; compare indexes, state and telemetry files with it.
 
-    [bold]reins audit verify --data data --key log.pub.copy[/]
+    [bold]reins audit verify --data data --key log.pub.copy --checkpoint log.jsonl.checkpoint[/]
+
+    Who has the server's disk has its key, and can write another history and sign it. What was kept elsewhere tells.
     """
     from app.audit.examination import examine_file
 
     with _said(data, interrupted="interrupted: not all was compared, so nothing is said of this record"):
         verifier = None if key is None else _verifier(key)
         with out.status("verifying …"):
-            found = examine_file(data, verifier)
+            found = examine_file(data, verifier, checkpoint)
     log = found.log
     if not log.ok:
         say_error(f"event {log.first_bad}: {log.problem}", hint=_good(log.size))
@@ -77,6 +83,8 @@ def verify(
     for problem in found.telemetry:
         say_error(problem)
     say(f"{log.size} events, root {log.root}: every byte of theirs is as it was signed")
+    if checkpoint is not None:
+        say(f"what was kept in {checkpoint} vouches for this very log")
     say(
         "not compared: what else is kept beside them, which nobody signs (settings but for stops, used permits, uses "
         "of grants, idempotency keys; of versions of policy their status and why they were brought; of invocations "

@@ -299,6 +299,31 @@ def test_there_is_nothing_to_verify_where_no_log_is(tmp_path: Path) -> None:
     assert (code, "valid is what `log.pub` holds" in said) == (2, True)
 
 
+def test_what_was_kept_of_a_log_is_compared_with_it_and_an_end_that_was_cut_off_is_a_finding(tmp_path: Path) -> None:
+    longer, data = tmp_path / "longer", tmp_path / "data"
+
+    async def write() -> None:
+        store = AuditStore.open(data)
+        await fill(store, batches=2)
+        await store.close()
+        shutil.copytree(data, longer)
+        store = AuditStore.open(longer)
+        await store.append([draft()])
+        await store.close()
+
+    asyncio.run(write())
+    kept = longer / "checkpoints.log"
+    code, said = run("audit", "verify", "--data", str(longer), "--checkpoint", str(kept))
+    assert (code, "vouches for this very log" in said) == (0, True)
+    assert run("audit", "verify", "--data", str(data))[0] == 0
+    code, said = run("audit", "verify", "--data", str(data), "--checkpoint", str(kept))
+    assert code == 1
+    assert "event 7: a checkpoint kept elsewhere vouches for `7` events, here are `6`: the end was cut off" in said
+    code, said = run("audit", "verify", "--data", str(data), "--checkpoint", str(data / "log.pub"))
+    assert (code, "valid is a copy of `checkpoints.log`" in said) == (2, True)
+    assert run("audit", "verify", "--data", str(data), "--checkpoint", str(tmp_path / "nowhere"))[0] == 2
+
+
 def test_the_shipped_policies_check() -> None:
     assert run("policy", "check")[0] == 0
 

@@ -7,16 +7,18 @@ database, and behind by one note at most: the next batch is not committed before
 from __future__ import annotations
 
 import os
-from itertools import islice
+from itertools import islice, zip_longest
 from typing import TYPE_CHECKING
 
-from app.audit.checkpoint import SIGNATURE_MARK
+from app.audit.checkpoint import SIGNATURE_MARK, NoteInvalid
 from app.audit.errors import RecordDamaged
 from app.disk import sync_folder
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
+
+    from app.audit.checkpoint import Verifier
 
 LINES_PER_NOTE = 6  # origin, size, root, empty, signature, empty
 MAX_NOTE_BYTES = 1024
@@ -115,3 +117,39 @@ def read_notes(path: Path, length: int | None = None) -> Iterator[str]:
             if len(lines) < LINES_PER_NOTE or not lines[-1].endswith(b"\n"):
                 return
             yield b"".join(lines if lines[-1] != b"\n" else lines[:-1]).decode(errors="replace")
+
+
+def read_kept(path: Path, verifier: Verifier) -> dict[int, bytes]:
+    """Return the roots of the checkpoints in a file that somebody kept, by how many events they vouch for.
+
+    Args:
+        path: a copy of `checkpoints.log`, or one checkpoint as an export has it; witnesses may have signed it as well.
+        verifier: the key of the log.
+
+    Raises:
+        OSError: the file cannot be read.
+        NoteInvalid: it holds no checkpoint of that log, or something else as well, or two that contradict each other.
+    """
+    roots: dict[int, bytes] = {}
+    try:
+        for note in _split(path.read_text(encoding="utf-8")):
+            head = verifier.open(note)
+            _require_one(roots.setdefault(head.size, head.root) == head.root, head.size)
+    except (NoteInvalid, UnicodeDecodeError) as error:
+        raise NoteInvalid(
+            f"`{path}` holds what is no checkpoint by the key `{verifier.text()}`: {error}; valid is a copy of "
+            "`checkpoints.log`, or the `.checkpoint` of an export. Where it is one, this log or its key was replaced"
+        ) from error
+    return roots
+
+
+def _split(text: str) -> Iterator[str]:
+    """Yield the notes of a text: each a text and, behind an empty line, signatures."""
+    parts = text.rstrip("\n").split("\n\n")
+    for signed, signatures in zip_longest(parts[::2], parts[1::2], fillvalue=""):
+        yield f"{signed}\n\n{signatures}\n"
+
+
+def _require_one(same: bool, size: int) -> None:
+    if not same:
+        raise NoteInvalid(f"two roots over `{size}` events, both signed: the log had two histories")

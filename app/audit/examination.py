@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Final
 
 from app.audit.archive import MAX_FAULTS, database_problems, reading, telemetry_problems
 from app.audit.cells import cell_problems
+from app.audit.checkpoint_file import read_kept
 from app.audit.documents import document_problems
 from app.audit.errors import RecordDamaged
 from app.audit.places import Places, load_verifier
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from app.audit.checkpoint import Verifier
+    from app.audit.verification import Kept
 
 WITHIN_S: Final = 30.0  # how long a server lets SQLite read its file; the command has no such limit
 
@@ -58,19 +60,27 @@ class Examination:
         return self.log.problem or next(iter((*(self.database or ()), *self.state, *self.telemetry)), None)
 
 
-def examine(places: Places, verifier: Verifier, *, pause_s: float = 0.0, within_s: float | None = None) -> Examination:
+def examine(
+    places: Places,
+    verifier: Verifier,
+    *,
+    kept: Kept | None = None,
+    pause_s: float = 0.0,
+    within_s: float | None = None,
+) -> Examination:
     """Compare everything there is in a data directory; never raises for what is stored there, but reports it.
 
     Args:
         places: the data directory's files.
         verifier: the key that must have signed the log's checkpoints.
+        kept: checkpoints that were kept elsewhere.
         pause_s: how long to step aside again and again, so that a server whose process this runs in goes on.
         within_s: how long SQLite may read its file; None has no limit.
 
     Raises:
         RecordUnreadable: the log or what stands beside it in the database cannot be read now.
     """
-    log = verify_log(places, verifier, pause_s=pause_s)
+    log = verify_log(places, verifier, kept=kept, pause_s=pause_s)
     if not log.ok:
         return Examination(log=log)
     return Examination(
@@ -81,22 +91,26 @@ def examine(places: Places, verifier: Verifier, *, pause_s: float = 0.0, within_
     )
 
 
-def examine_file(data_dir: Path, verifier: Verifier | None = None) -> Examination:
+def examine_file(data_dir: Path, verifier: Verifier | None = None, kept: Path | None = None) -> Examination:
     """Compare everything there is in a data directory that no server of this process has open.
 
     Args:
         data_dir: the directory of a server.
         verifier: the log's public key as kept elsewhere; by default the one beside the log, which whoever can rewrite
             the log can replace as well.
+        kept: a file of checkpoints as kept elsewhere, all of which have to be of this very log.
 
     Raises:
         RecordDamaged: there is no log, or no public key.
+        NoteInvalid: that file holds something else.
+        OSError: that file cannot be read.
         RecordUnreadable: it cannot be read now.
     """
     places = Places(data_dir)
     key = verifier or load_verifier(places)
+    heads = None if kept is None else read_kept(kept, key)
     with reading(data_dir):
-        return examine(places, key)
+        return examine(places, key, kept=heads)
 
 
 def _state_problems(places: Places, pause_s: float) -> list[str]:

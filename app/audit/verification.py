@@ -4,6 +4,8 @@
     2. Every event's place, its columns and its bytes agree, and its bytes hash to the leaf its checkpoint vouches for.
     3. The recomputed root is the signed root at every checkpoint; behind the last one stands no event.
     4. The file outside the database holds the same checkpoints, the last one excepted, which may still be on its way.
+    5. Checkpoints that somebody kept elsewhere are of this log: whoever has its key can make all of the above hold for
+       another history, but not for one whose head is known (consistency, RFC 9162, from the events themselves).
 
 It reads events by their place: an index that hides one from a query, and the state beside the log, are no part of it.
 A writer may go on meanwhile: the walk ends where the log ended when it began.
@@ -12,7 +14,7 @@ A writer may go on meanwhile: the walk ends where the log ended when it began.
 from __future__ import annotations
 
 from base64 import b64encode
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from time import sleep
@@ -30,6 +32,8 @@ if TYPE_CHECKING:
 
 Progress: TypeAlias = Callable[[int, int], None]
 """Told how many events are verified, and of how many."""
+Kept: TypeAlias = Mapping[int, bytes]
+"""The roots of checkpoints that were kept elsewhere, by how many events they vouch for."""
 BATCHES_AT_A_TIME = 32
 PAUSE_EVERY = 25
 NOT_THERE = (FileNotFoundError, IsADirectoryError, NotADirectoryError)  # what the system says for sure of a file
@@ -60,20 +64,26 @@ class _Bad(Exception):  # carries a finding to the end of the walk
 
 
 def verify_log(
-    places: Places, verifier: Verifier, *, pause_s: float = 0.0, progress: Progress | None = None
+    places: Places,
+    verifier: Verifier,
+    *,
+    kept: Kept | None = None,
+    pause_s: float = 0.0,
+    progress: Progress | None = None,
 ) -> Verification:
     """Verify the log in a data directory; never raises for what is stored there, or is not, but reports it.
 
     Args:
         places: the data directory's files.
         verifier: the key that must have signed its checkpoints.
+        kept: checkpoints by that key that were kept elsewhere, and have to be of this very log.
         pause_s: how long to step aside after every 25 events, so that a server whose process this runs in goes on.
         progress: told after every few batches how far it has come.
 
     Raises:
         RecordUnreadable: it cannot be verified now: the process has no descriptor left, or the disk does not answer.
     """
-    walk = _Walk(places, verifier, pause_s, progress)
+    walk = _Walk(places, verifier, kept or {}, pause_s, progress)
     try:
         walk.run()
     except _Bad as bad:
@@ -89,13 +99,17 @@ def verify_log(
 class _Walk:
     """One pass from the first event to the last, holding what is known to be good so far."""
 
-    def __init__(self, places: Places, verifier: Verifier, pause_s: float, progress: Progress | None) -> None:
+    def __init__(
+        self, places: Places, verifier: Verifier, kept: Kept, pause_s: float, progress: Progress | None
+    ) -> None:
         self.places = places
         self.pause_s = pause_s
         self.progress = progress
         self.verifier = verifier
         self.frontier = Frontier()
         self.note: str | None = None
+        self._kept = dict(sorted(kept.items()))  # those that are still to come
+        self._kept_good: tuple[Frontier, str | None] = self.frontier, None
         self._outside_gone = False
         self._not_outside: list[tuple[Frontier, str | None]] = []
 
@@ -118,6 +132,7 @@ class _Walk:
             extent = reader.extent()
             if extent.first < 0 or (extent.last and extent.first != 1):
                 raise _Bad(min(extent.first, 1), f"the first event is `{extent.first}`")
+            self._compare_kept()
             while self.frontier.size < extent.signed:
                 batches = reader.batches(after=self.frontier.size, until=extent.signed, limit=BATCHES_AT_A_TIME)
                 if not batches:
@@ -126,6 +141,7 @@ class _Walk:
                     grown = self._grow(reader, batch)
                     self._outside(batch, outside, before.signed)
                     self.frontier, self.note = grown, batch.note
+                    self._compare_kept()
                 if self.progress is not None:
                     self.progress(self.frontier.size, extent.signed)
         finally:
@@ -141,6 +157,9 @@ class _Walk:
             return iter(())
 
     def _end(self, extent: Extent, outside: Iterator[str]) -> None:
+        if self._kept:
+            told = f"a checkpoint kept elsewhere vouches for `{max(self._kept)}` events"
+            raise _Bad(extent.signed + 1, f"{told}, here are `{extent.signed}`: the end was cut off")
         if extent.last > extent.signed:
             raise _Bad(extent.signed + 1, f"no checkpoint vouches for the events after `{extent.signed}`")
         if self._outside_gone:
@@ -156,6 +175,19 @@ class _Walk:
             raise _Bad(self.frontier.size + 1, f"`{self.places.checkpoints}` lacks the last checkpoints")
         if next(outside, None) is not None:
             raise _Bad(extent.signed + 1, f"`{self.places.checkpoints}` vouches for more events: the end was cut off")
+
+    def _compare_kept(self) -> None:
+        """Compare what has been walked with what was kept of it; only what ended a batch was ever signed."""
+        here = self.frontier
+        while self._kept and (size := next(iter(self._kept))) <= here.size:
+            if self._kept.pop(size) != here.root() or size != here.size:
+                self.frontier, self.note = self._kept_good
+                raise _Bad(
+                    self.frontier.size + 1,
+                    f"the first `{size}` events are not those that a checkpoint kept elsewhere vouches for: they were "
+                    "written anew, and signed anew",
+                )
+            self._kept_good = here, self.note
 
     def _grow(self, reader: Reader, batch: Batch) -> Frontier:
         size = self.frontier.size

@@ -14,9 +14,10 @@ from pathlib import Path
 
 import pytest
 
-from app.audit.checkpoint import Signer
+from app.audit.checkpoint import NoteInvalid, Signer
 from app.audit.errors import RecordDamaged, RecordUnreadable
 from app.audit.event import Event
+from app.audit.examination import examine_file
 from app.audit.merkle import Frontier, leaf_hash
 from app.audit.places import Places, load_key, load_verifier
 from app.audit.reader import Batch, Extent, Reader
@@ -195,19 +196,99 @@ async def test_finds_tampering_and_names_the_event(log: Places, name: str) -> No
     assert result.size < max(first_bad, 1)
 
 
+def rewrite_with_the_stolen_key(places: Places) -> str:
+    """Sign another history with the log's own key; returns the checkpoints that the file outside would need."""
+    rewrite_history(places)
+    signer = load_key(places)
+    signed = ""
+    with closing(sqlite3.connect(places.database)) as connection:
+        rows = connection.execute("SELECT size, frontier FROM checkpoints ORDER BY size").fetchall()
+        for size, packed in rows:
+            note = signer.sign(size, Frontier.unpack(size, packed).root())
+            connection.execute("UPDATE checkpoints SET note = ? WHERE size = ?", (note, size))
+            signed += note + "\n"
+        connection.commit()
+    return signed
+
+
 async def test_finds_a_history_rewritten_with_the_stolen_key(log: Places) -> None:
     """Even the log's own key cannot make the file outside agree with another history."""
-    rewrite_history(log)
-    signer = load_key(log)
-    connection = sqlite3.connect(log.database)
-    for size, packed in connection.execute("SELECT size, frontier FROM checkpoints").fetchall():
-        note = signer.sign(size, Frontier.unpack(size, packed).root())
-        connection.execute("UPDATE checkpoints SET note = ? WHERE size = ?", (note, size))
-    connection.commit()
-    connection.close()
+    rewrite_with_the_stolen_key(log)
     result = verify(log)
     assert (result.ok, result.first_bad) == (False, 4)
     assert "holds another checkpoint" in (result.problem or "")
+
+
+def against(places: Places, kept: Path) -> Verification:
+    return examine_file(places.folder, kept=kept).log
+
+
+@pytest.mark.parametrize(("those", "good"), [(slice(0, 1), 12), (slice(0, 2), 3), (slice(2, 3), 0), (slice(3, 4), 0)])
+async def test_finds_what_was_rewritten_everywhere_by_what_was_kept_elsewhere(
+    log: Places, tmp_path: Path, those: slice, good: int
+) -> None:
+    """Event 5 is another one: what vouches for 3 events cannot tell, what vouches for it as well can."""
+    kept = tmp_path / "kept"
+    kept.write_text("".join(notes(log.checkpoints.read_text())[those]))
+    assert against(log, kept).ok
+    log.checkpoints.write_text(rewrite_with_the_stolen_key(log))
+    assert verify(log).ok, "nothing in the directory tells"
+    result = against(log, kept)
+    assert (result.ok, result.size, result.first_bad) == (good == 12, good, None if good == 12 else good + 1)
+    assert good == 12 or "kept elsewhere" in (result.problem or "")
+
+
+async def test_finds_an_end_that_was_cut_off_everywhere_by_what_was_kept_elsewhere(log: Places, tmp_path: Path) -> None:
+    kept = tmp_path / "kept"
+    kept.write_text(notes(log.checkpoints.read_text())[-1].rstrip("\n"))
+    take_the_end_off_everywhere(log)
+    outside(lambda text: "".join(notes(text)[:3]))(log)
+    assert verify(log).ok, "nothing in the directory tells"
+    result = against(log, kept)
+    assert (result.ok, result.size, result.first_bad) == (False, 9, 10)
+    assert result.problem == "a checkpoint kept elsewhere vouches for `12` events, here are `9`: the end was cut off"
+
+
+async def test_finds_a_size_at_which_the_log_never_signed(log: Places, tmp_path: Path) -> None:
+    kept = tmp_path / "kept"
+    kept.write_text(load_key(log).sign(5, bytes(32)))
+    result = against(log, kept)
+    assert (result.ok, result.size, result.first_bad) == (False, 0, 1)
+
+
+async def test_takes_a_kept_checkpoint_of_nothing_and_one_that_a_witness_signed(log: Places, tmp_path: Path) -> None:
+    kept = tmp_path / "kept"
+    signer = load_key(log)
+    witnessed = notes(log.checkpoints.read_text())[1].rstrip("\n") + "\n— witness.example AAAAAAAAAAAA\n"
+    kept.write_text(f"{signer.sign(0, Frontier().root())}\n{witnessed}\n")
+    assert against(log, kept).ok
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda text: "", "no signature line"),
+        (lambda text: text[:-40], "signature"),
+        (lambda text: text + "and more\n", "no signature line"),
+        (lambda text: text.replace("\n3\n", "\n4\n"), "does not hold"),
+        (lambda text: "\ufeff" + text, "does not hold"),
+    ],
+    ids=["nothing", "torn", "more", "another size", "a mark"],
+)
+async def test_refuses_as_kept_what_is_no_checkpoint_of_the_log(
+    log: Places, tmp_path: Path, change: Callable[[str], str], said: str
+) -> None:
+    kept = tmp_path / "kept"
+    kept.write_text(change(log.checkpoints.read_text()), encoding="utf-8")
+    with pytest.raises(NoteInvalid, match=said):
+        against(log, kept)
+
+
+async def test_refuses_two_kept_checkpoints_that_contradict_each_other(log: Places, tmp_path: Path) -> None:
+    kept = tmp_path / "kept"
+    kept.write_text(log.checkpoints.read_text() + load_key(log).sign(6, bytes(32)))
+    with pytest.raises(NoteInvalid, match="two histories"):
+        against(log, kept)
 
 
 DAMAGE_AT_THE_END = [
