@@ -5,7 +5,7 @@ The tool's own switch says whether it worked.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Generator, Mapping
 from math import cos, sin
 from typing import TYPE_CHECKING
 
@@ -16,12 +16,18 @@ from app.sim.skills_arm import HOVER_M, contact_speed, number, within_reach
 from app.sim.world import LEVER_LENGTH_M, LEVER_SWING_RAD
 
 if TYPE_CHECKING:
-    from app.governance.model import Json, Tool
+    from app.governance.model import Command, Json, Tool
 
 _CLEAR_M = 0.22  # above the tool's place: clear of a raised lever
 # A handle that is gripped harder cannot turn in the fingers: the hand goes on a circle of its own then, against the
 # lever's, and strains the arm. `force_n` is what the tool may be worked with, not what it has to be held with.
 HANDLE_GRIP_N = 60.0
+# Of a lever that was let go of on its way its switch says only that it is at neither end.
+_MAY_STAND_RAD = {
+    "up": (LEVER_SWING_RAD,),
+    "between": (0.35, 0.25, 0.15, 0.05, -0.05, -0.15, -0.25, -0.35, -0.45),
+    "down": (-LEVER_SWING_RAD,),
+}
 
 
 def operate_tool(body: Body, params: Mapping[str, Json]) -> Moves:
@@ -42,15 +48,18 @@ def operate_tool(body: Body, params: Mapping[str, Json]) -> Moves:
 
 def _swing_lever(body: Body, tool: Tool, wanted: str, force_n: float, limit_mps: float) -> Moves:
     speed, slow = body.speed(limit_mps), contact_speed(body, limit_mps)
-    begin = LEVER_SWING_RAD if body.senses.tool_state(tool.name) == "up" else -LEVER_SWING_RAD
-    end = LEVER_SWING_RAD if wanted == "up" else -LEVER_SWING_RAD
+    may_stand = _MAY_STAND_RAD[body.senses.tool_state(tool.name)]
+    begin, end = may_stand[0], LEVER_SWING_RAD if wanted == "up" else -LEVER_SWING_RAD
     body.enter("approach", 0.0)
     yield from body.open()
     x, y = body.relative(tool.x_m, tool.y_m)
-    grips = [_handle(x, y, tool.z_m, begin + (end - begin) * k / 12) for k in range(13)]
-    yield from body.approach(grips[0]._replace(z_m=tool.z_m + _CLEAR_M), speed)
-    yield from body.line(grips[0]._replace(z_m=grips[0].z_m + CONTACT_NEAR_M), speed)
+    first = _handle(x, y, tool.z_m, begin)
+    yield from body.approach(first._replace(z_m=tool.z_m + _CLEAR_M), speed)
+    yield from body.line(first._replace(z_m=first.z_m + CONTACT_NEAR_M), speed)
     body.enter("descend", 0.3)
+    if len(may_stand) > 1:
+        begin = yield from _feel_for(body, {angle: _handle(x, y, tool.z_m, angle) for angle in may_stand}, slow)
+    grips = [_handle(x, y, tool.z_m, begin + (end - begin) * k / 12) for k in range(13)]
     yield from body.line(grips[0], slow, until=body.touched)
     body.enter("close", 0.4)
     yield from body.close(min(force_n, HANDLE_GRIP_N))
@@ -64,6 +73,24 @@ def _swing_lever(body: Body, tool: Tool, wanted: str, force_n: float, limit_mps:
     yield from body.line(here._replace(z_m=here.z_m + 0.04), slow)
     yield from body.line(here._replace(z_m=tool.z_m + _CLEAR_M), speed)
     yield from _check_tool(body, tool, wanted)
+
+
+def _feel_for(body: Body, places: Mapping[float, ToolPose], slow_mps: float) -> Generator[Command, None, float]:
+    """Close softly wherever a handle may stand, from above downwards; returns the middle of where it was felt."""
+    felt: list[float] = []
+    for angle, place in places.items():
+        yield from body.line(place, slow_mps, until=body.touched)
+        try:
+            yield from body.close(SOFT_CLOSE_N)
+            felt.append(angle)
+        except SkillFailed:
+            if felt:
+                break
+        yield from body.open()
+    if not felt:
+        raise SkillFailed("tool_failed", "the handle is at neither end, and nowhere in between")
+    yield from body.open()
+    return sum(felt) / len(felt)
 
 
 def _handle(x_m: float, y_m: float, pivot_z_m: float, angle_rad: float) -> ToolPose:

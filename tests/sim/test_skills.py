@@ -287,6 +287,31 @@ class Interrupted(Exception):
     """Ends a run where a test wants it to end."""
 
 
+@pytest.mark.parametrize(
+    ("turned_rad", "action", "says"), [(0.28, "push_up", "up"), (0.0, "push_up", "up"), (-0.27, "pull_down", "down")]
+)
+def test_a_lever_that_was_let_go_of_on_its_way_can_be_worked_again(
+    turned_rad: float, action: str, says: str, site: Site
+) -> None:
+    cell = make_workcell(site, cell_id="between", seed=FIRST)
+    assert run_skill(cell, "navigate_to", {"target": "tool_stand", "speed_mps": 0.6, "clearance_m": 0.2}).done
+
+    def interrupt(*_: object) -> None:
+        if cell.plant.tool_angle("lever") < turned_rad:
+            raise Interrupted
+
+    pull = {"tool": "lever", "action": "pull_down", "force_n": 40.0, "speed_mps": 0.25}
+    with pytest.raises(Interrupted):
+        run_skill(cell, "operate_tool", pull, each=interrupt)
+    assert run_skill(cell, "safe_retreat", {"speed_mps": 0.15}).done
+    assert cell.tool_state("lever") == "between"
+    assert run_skill(cell, "navigate_to", {"target": "tool_stand", "speed_mps": 0.6, "clearance_m": 0.1}).done
+    ran = run_skill(cell, "operate_tool", {**pull, "action": action})
+    assert ran.done, ran.detail
+    assert cell.tool_state("lever") == says
+    assert ran.contact_force_n < 70.0
+
+
 def test_a_hand_that_retreats_from_a_tool_lets_go_of_its_handle_first(site: Site) -> None:
     cell = make_workcell(site, cell_id="handle", seed=FIRST)
     assert run_skill(cell, "navigate_to", {"target": "tool_stand", "speed_mps": 0.6, "clearance_m": 0.2}).done
