@@ -23,8 +23,9 @@ from app.clock import monotonic_s
 from app.governance.model import Role
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Coroutine, Iterable
+    from collections.abc import Callable, Coroutine, Iterable, Sequence
 
+    from pydantic import BaseModel
     from starlette.responses import Response
     from starlette.routing import BaseRoute
     from starlette.types import Receive, Scope, Send
@@ -216,15 +217,17 @@ class GuardedRoute(APIRoute):
         (method,) = cast("set[str]", self.methods)  # one method a route: the table names them one by one
         allowed = allowed_roles(method, self.path)
         reads_query = self.path not in RESTRAINING
-        takes_none = reads_query and allowed is not PUBLIC and "query" not in signature(self.endpoint).parameters
+        knows_query = reads_query and allowed is not PUBLIC
+        models = [cast("type[BaseModel]", one.field_info.annotation) for one in self.dependant.query_params]
+        taken = [name for model in models for name in model.model_fields]
 
         async def guarded(request: Request) -> Response:
             parts = parts_of(request)
             principal = authorize(request, parts.principals, allowed)
             if reads_query:
                 _refuse_twice(request.scope["query_string"])
-            if takes_none:
-                _refuse_any(request.scope["query_string"])
+            if knows_query:
+                _refuse_unknown(request.scope["query_string"], taken)
             if principal is not None:
                 parts.governor.kernel.heard(principal)  # whoever speaks is on duty
             return await handler(request)
@@ -232,16 +235,15 @@ class GuardedRoute(APIRoute):
         return guarded
 
 
-def _refuse_any(query: bytes) -> None:
+def _refuse_unknown(query: bytes, taken: Sequence[str]) -> None:
     """Refuse what a route does not know: whoever sent it believes that it counts.
 
     Raises:
-        Problem: 422 `request_invalid`.
+        Problem: 422 `request_invalid`, naming what the route takes.
     """
-    if query and (names := _names(query)):
-        errors = [
-            {"field": f"query.{name[:100]}", "message": "is unknown: this route takes no parameters"} for name in names
-        ]
+    if query and (names := [name for name in _names(query) if name not in taken]):
+        valid = f"valid are {', '.join(taken)}" if taken else "this route takes no parameters"
+        errors = [{"field": f"query.{name[:100]}", "message": f"is unknown: {valid}"} for name in names]
         first = errors[0]
         raise Problem(
             "request_invalid", f"a parameter is not valid: `{first['field']}` {first['message']}", errors=errors[:MOST]

@@ -219,6 +219,14 @@ async def test_no_route_passes_over_a_parameter_that_it_does_not_know(house: Hou
     assert answer.json()["errors"][0]["field"] == "query.colour"
 
 
+async def test_an_unknown_parameter_is_told_which_there_are(house: House) -> None:
+    async with house.client("operator") as operator:
+        lists = await operator.get("/v1/grants", params={"state": "active"})
+        takes_none = await operator.get("/v1/cells", params={"limit": 1})
+    assert lists.json()["errors"][0]["message"] == "is unknown: valid are limit, cursor, status"
+    assert takes_none.json()["errors"][0]["message"] == "is unknown: this route takes no parameters"
+
+
 MAY_MOVE = [key for key in ACCESS if key[0] in {"POST", "PUT"} and key[1] not in RESTRAINING]
 
 
