@@ -158,8 +158,8 @@ class CellControls:
             RecordUnavailable: nothing was recorded, the profile stays.
         """
         cell = self.fleet.cell(cell_id)
-        if profile not in self.kernel.profiles():
-            raise NotFound("profile", profile)
+        if profile not in (profiles := self.kernel.profiles()):
+            raise NotFound("profile", profile, sorted(profiles))
         async with cell.profiling:
             if before not in {None, cell.profile}:
                 message = f"`{cell.id}` is under `{cell.profile}`, not `{before}` any more; valid: compare with that"

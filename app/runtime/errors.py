@@ -16,7 +16,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Final, Self
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterable, Mapping, Sequence
 
     from app.governance.model import Reason
 
@@ -85,11 +85,12 @@ class InvalidParams(RuntimeRefusal):
 class NotFound(RuntimeRefusal):
     """There is no such thing for this caller."""
 
-    def __init__(self, what: str, name: str) -> None:
-        """Name what was looked for."""
+    def __init__(self, what: str, name: str, valid: Iterable[str] = ()) -> None:
+        """Name what was looked for, and what there is where that is a handful."""
         self.what = what
         self.name = name
-        super().__init__(f"no {what} `{name}`")
+        there_is = ", ".join(f"`{one}`" for one in valid)
+        super().__init__(f"no {what} `{name}`" + (f"; valid: {there_is}" if there_is else ""))
 
 
 class Forbidden(RuntimeRefusal):

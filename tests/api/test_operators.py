@@ -190,6 +190,7 @@ async def test_an_engineer_changes_the_profile_of_a_cell(house: House) -> None:
         assert (answer.status_code, answer.json()["profile"]) == (200, "human-shared")
         unknown = await engineer.put(f"/v1/cells/{CELL}/profile", json={"profile": "anything-goes"})
         assert (unknown.status_code, unknown.json()["code"]) == (404, "profile_unknown")
+        assert "valid: `human-shared`, `real-restricted`, `sim-relaxed`, `test-audit`" in unknown.json()["detail"]
         assert (await engineer.put(f"/v1/cells/{CELL}/profile", json={"profile": "sim-relaxed"})).status_code == 200
         assert [cell["id"] for cell in (await engineer.get("/v1/cells")).json()["items"]] == [CELL]
 
