@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
@@ -58,7 +59,14 @@ def _message(error: Mapping[str, Any], fields: Sequence[str]) -> str:
 
 
 def _naming(error: Mapping[str, Any], message: str) -> str:
-    """Return a message with the value before it, where that is a short text that says nothing else than itself."""
-    value = error["input"]
-    shown = isinstance(value, str) and len(value) <= MAX_SHOWN and value.isprintable() and message.startswith("valid")
-    return f"is `{value}`: {message}" if shown else message
+    """Return a message with the value before it, where that is short and says nothing else than itself."""
+    shown = _shown(error["input"])
+    named = shown is not None and len(shown) <= MAX_SHOWN and shown.isprintable() and message.startswith("valid")
+    return f"is `{shown}`: {message}" if named else message
+
+
+def _shown(value: object) -> str | None:
+    """Return a text as it is, and a number, a truth or nothing as JSON has it; None of what holds more."""
+    if isinstance(value, str):
+        return value
+    return json.dumps(value) if value is None or isinstance(value, (int, float)) else None
