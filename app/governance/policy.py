@@ -267,12 +267,19 @@ def _problems_of(error: ValidationError, schema: Mapping[str, Json]) -> list[Par
     match error.kind:
         case ValidationErrorKind.AdditionalProperties(unexpected=names):
             remedy = ", ".join(_taken(schema, error.schema_path[:-1]))
-            return [ParamProblem(".".join([*where, name[:64]]), "schema", "is unknown", remedy) for name in names]
+            return [ParamProblem(_at(where, name), "schema", "is unknown", remedy) for name in names]
+        case ValidationErrorKind.Required(property=name):
+            return [ParamProblem(_at(where, name), "schema", "is missing")]
         case _:
             choice = _choice(schema) if list(error.schema_path) == ["oneOf"] else []
             message = "name " + ", or ".join(choice) if choice else error.message
             message = message if len(message) <= 300 else message[:297] + "…"
             return [ParamProblem(".".join(where), "schema", message[:1].lower() + message[1:])]
+
+
+def _at(where: Sequence[str], name: str) -> str:
+    """Return the path to what has this name; no name at all is shown as one."""
+    return ".".join([*where, name[:64] or '""'])
 
 
 def _taken(schema: Mapping[str, Json], path: Sequence[str | int]) -> list[str]:

@@ -108,7 +108,7 @@ def test_departs_when_its_capability_takes_other_parameters_by_now() -> None:
         assert not found.askable
         takes = "`operate_tool` takes other parameters now: "
         said = {reason.message.removeprefix(takes) for reason in found.reasons}
-        assert said == {'"device" is a required property', "`tool` is unknown"}
+        assert said == {"`device` is missing", "`tool` is unknown"}
     slow = replace(GRASP, params={**GRASP.params, "speed_mps": 0.01})
     assert between(shipped(), with_profile(), slow) is CONFORMS, "policy has held it to less than its capability takes"
 

@@ -50,6 +50,12 @@ def test_names_a_parameter_that_there_is_not_and_lists_those_there_are():
     assert found == tuple(ParamProblem(name, "schema", "is unknown", valid) for name in ("spede_mps", "f" * 64))
 
 
+def test_names_a_parameter_that_is_missing_and_one_without_a_name():
+    assert shipped().validate_params("grasp_object", {}) == (ParamProblem("object_id", "schema", "is missing"),)
+    unnamed = shipped().validate_params("navigate_to", {"target": "dock", "": 1})
+    assert [problem.param for problem in unnamed] == ['""']
+
+
 def test_lists_the_parameters_of_that_part_of_a_schema_which_takes_no_others():
     text = files()
     name = "capabilities/grasp_object.yaml"
