@@ -20,6 +20,7 @@ from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
 
 from app.api.access import WEBSOCKET, allowed_roles, check_role
+from app.api.faults import field_errors
 from app.api.parts import parts_of
 from app.api.problems import Problem
 from app.api.staying import close_code, until_refused
@@ -387,9 +388,10 @@ async def _receive(socket: WebSocket) -> Words:
     except Problem as problem:
         raise NotAWord(problem.detail) from problem
     except ValidationError as error:
-        first = error.errors(include_input=False)[0]  # what was sent may be a token
-        where = ".".join(str(part) for part in first["loc"])
-        raise NotAWord(f"no message at `{where}`: {first['msg']}") from None
+        untold = [{**one, "input": ()} for one in error.errors(include_input=False)]  # what was sent may be a token
+        first = field_errors(untold)[0]
+        where = f" at `{first['field']}`" if first["field"] else ""
+        raise NotAWord(f"no message{where}: {first['message']}") from None
 
 
 @contextlib.contextmanager

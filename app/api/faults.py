@@ -33,6 +33,8 @@ _BOUND: Mapping[str, tuple[str, str]] = {
     "greater_than_equal": ("valid is at least {}", "ge"),
     "greater_than": ("valid is more than {}", "gt"),
     "less_than_equal": ("valid is at most {}", "le"),
+    "union_tag_invalid": ("valid types are {}", "expected_tags"),
+    "union_tag_not_found": ("{} is missing", "discriminator"),
 }
 
 

@@ -287,6 +287,23 @@ async def test_a_console_that_names_what_it_does_not_drive_is_answered_and_nothi
     assert [one.remembers() for one in seated] == [0]
 
 
+@pytest.mark.parametrize(
+    ("frame", "why"),
+    [
+        ("{}", "no message: 'type' is missing"),
+        ("[]", "no message: valid is an object"),
+        ('{"type": "stop"}', "no message: valid types are 'hello', 'watch', 'ack', 'ping', 'jog', 'estop'"),
+        ('{"type": "watch", "cells": 5}', "no message at `watch.cells`: valid is a list"),
+        ('{"type": "estop"}', "no message at `estop.cell`: is missing"),
+    ],
+)
+async def test_a_bad_frame_is_told_what_would_be_valid(house: House, frame: str, why: str) -> None:
+    async with signed_in(house) as screen:
+        await screen.until_type("snapshot")
+        await screen.socket.send(frame)
+        assert await screen.ended() == (4400, why)
+
+
 async def test_a_token_in_a_bad_frame_is_not_echoed(house: House) -> None:
     async with dial(house) as screen:
         await screen.socket.send('{"type": "hello", "token": {"secret": 1}}')
