@@ -73,6 +73,10 @@ describe('words', () => {
   it('tell events', () => {
     expect(eventLine(event('alert', { rule: 'separation', signal: 'VIOLATION', value: 0.972, threshold: 1.021 })).text).toBe('Separation 0.97 m, limit 1.02 m');
     expect(eventLine(event('alert', { rule: 'people', signal: 'VIOLATION', value: 0.972, threshold: 1 })).text).toBe('Separation 0.97 m, limit 1.00 m');
+    expect(eventLine(event('alert', { rule: 'zone', signal: 'VIOLATION', value: -0.0021, threshold: 0 })).text).toBe('Zone margin -0.002 m, limit 0.000 m');
+    expect(eventLine(event('alert', { rule: 'zone', signal: 'VIOLATION', value: -0.00001, threshold: 0 })).text).toBe('Zone margin 0.0000 m, limit 0.0000 m');
+    expect(eventLine(event('alert', { rule: 'zone', signal: 'VIOLATION', value: -0.00001 })).text).toBe('Zone margin 0.00 m');
+    expect(eventLine(event('alert', { rule: 'contact-force', signal: 'WARNING', value: 61.2, threshold: 60 })).text).toBe('Contact force 61.20 N, limit 60.00 N');
     expect(eventLine(event('outcome', { outcome: 'stopped', failure: 'object_lost' }))).toMatchObject({ tone: 'danger', strong: 'Stopped', text: ', object lost' });
     expect(eventLine(event('policy_version', { op: 'refuted', policy_version: 'sha256:0123456789' }))).toMatchObject({ tone: 'danger', text: 'Policy 0123456: its proofs are refuted' });
     expect(eventLine(event('policy_version', { op: 'awaiting_second', policy_version: 'sha256:0123456789' }))).toMatchObject({ tone: 'plain', text: 'Policy 0123456: waits for a second engineer' });

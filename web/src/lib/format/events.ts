@@ -9,7 +9,7 @@ import { keptWords } from './kept';
 import { cellWords, orderWords, toldWords, undoneWords, versionWords } from './orders';
 import { plain } from './plain';
 import { labelFor, valueOf } from './quantity';
-import { isNearness, ruleWords } from './rules';
+import { reading, ruleWords } from './rules';
 import { clockTime } from './time';
 
 export type EventIcon = 'dot' | 'scale' | 'check' | 'alert' | 'pause' | 'stop' | 'hand' | 'undo' | 'person' | 'plug' | 'flag' | 'log' | 'refused';
@@ -42,13 +42,6 @@ const obj = (value: Json | undefined): Record<string, Json> =>
   value !== null && typeof value === 'object' && !Array.isArray(value) ? value : {};
 const list = (value: Json | undefined): Json[] => (Array.isArray(value) ? value : []);
 const line = (icon: EventIcon, tone: Tone, text: string, strong = ''): Line => ({ icon, tone, strong, text });
-
-function reading(rule: string, value: number | null, limit: number | null): string {
-  if (value === null) return '';
-  const unit = isNearness(rule) ? ' m' : '';
-  const said = ` ${value.toFixed(2)}${unit}`;
-  return limit === null ? said : `${said}, limit ${limit.toFixed(2)}${unit}`;
-}
 
 /** A completion that has nothing to verify names nothing. */
 function verified(what: readonly string[]): string {
