@@ -101,13 +101,13 @@ async def test_a_grant_that_is_over_as_it_begins_is_refused(shared_house: House)
         refused = await operator.post("/v1/grants", json={**GRANT, "minutes": 1e-9})
         assert (refused.status_code, refused.json()["errors"]) == (
             422,
-            [{"field": "minutes", "message": "valid is at least 0.01"}],
+            [{"field": "minutes", "message": "is `1e-09`: valid is at least 0.01"}],
         )
         question = await ask(shared_house)
         refused = await resolve(operator, question, grant={"scope": "object", "minutes": 1e-9})
         assert (refused.status_code, refused.json()["errors"]) == (
             422,
-            [{"field": "grant.minutes", "message": "valid is at least 0.01"}],
+            [{"field": "grant.minutes", "message": "is `1e-09`: valid is at least 0.01"}],
         )
         answer = await resolve(operator, question, grant={"scope": "object", "minutes": 0.01})
         assert (answer.status_code, answer.json()["status"]) == (200, "approved")
