@@ -65,6 +65,7 @@ def test_a_stop_is_heard_while_typing_pressed_from_anywhere_and_left_in_two_step
     assert server.cell()["latched"] is False
     person.press("Control+.")
     expect(robot(person)).to_contain_text("Stopped, latched")
+    until(lambda: server.cell()["latched"], what="a server that has heard of the latch")
     floor.clear()
     expect(robot(person)).to_contain_text("Idle")
     drive = floor.drive_off()
