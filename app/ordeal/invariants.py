@@ -11,10 +11,14 @@ from app.governance.model import EventKind, Status
 from app.governance.session import TABLE
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from app.cell.handover import Session
     from app.cell.journal import Entry
+    from app.cell.runner import Runner
     from app.governance.model import Bounds
-    from app.ordeal.story import Story
+    from app.ordeal.instruments import Disk, Witness
+    from app.sim.faults import Fault
 
 HELD_TICKS: Final = 250  # what is held stands by then: two seconds of braking at most, and what swings out after it
 END_TICKS: Final = 350
@@ -37,9 +41,9 @@ class BrokenInvariant(Exception):  # a finding, not an error of the program
 class Invariants:
     """What has to hold, whatever is said and whatever breaks."""
 
-    def __init__(self, story: Story) -> None:
-        """Watch a story."""
-        self._story = story
+    def __init__(self, cell: Witness, disk: Disk, runner: Runner, faults: Sequence[Fault]) -> None:
+        """Watch a cell, what it journals and the loop that drives it, knowing which faults it has."""
+        self._cell, self._disk, self._runner = cell, disk, runner
         self._was: Session | None = None
         self._rate = 0.0
         self._bounds: Bounds | None = None  # of the tick before
@@ -53,8 +57,8 @@ class Invariants:
         self._open_until = self._falls_until = -1
         self._in_hand: tuple[str, float] | None = None  # and at what height
         self._let_go: tuple[str, float] | None = None
-        self._keeps = LOOSENS.isdisjoint(fault.kind for fault in story.scene.faults)
-        sinks = any(fault.kind in ("fade", "payload_shift") for fault in story.scene.faults)
+        self._keeps = LOOSENS.isdisjoint(fault.kind for fault in faults)
+        sinks = any(fault.kind in ("fade", "payload_shift") for fault in faults)
         self._arm_rad = 0.5 if sinks else DRIFT_RAD  # of an arm that its drives do not hold the cell cuts power itself
 
     def after_word(self, session: Session, op: str, refused: str | None) -> None:
@@ -91,7 +95,7 @@ class Invariants:
 
     def after_tick(self) -> None:
         """Look at what was commanded, what truly moved, and what is recorded."""
-        session = self._story.runner.session
+        session = self._runner.session
         self._commanded(session)
         self._latched(session)
         self._restrained(session)
@@ -105,12 +109,12 @@ class Invariants:
 
     def at_the_end(self) -> None:
         """Whatever was launched has ended."""
-        _hold(self._story.runner.session is None, "a stop ends a session", f"{self._status}")
+        _hold(self._runner.session is None, "a stop ends a session", f"{self._status}")
         lost = self._status.keys() - self._ended.keys()
         _hold(not lost, "every session has an outcome", f"{sorted(lost)}")
 
     def _commanded(self, session: Session | None) -> None:
-        cell, by = self._story.cell, self._was or session
+        cell, by = self._cell, self._was or session
         sent, before = cell.sent, cell.before
         if sent is None or before is None:
             return
@@ -126,8 +130,8 @@ class Invariants:
         _hold(not bound or step <= ROUNDING * limits[-1].joint_speed_radps, "joints keep their bound", f"{step} rad/s")
 
     def _latched(self, session: Session | None) -> None:
-        latched = self._story.runner.latched
-        _hold(not latched or (session is None and not self._story.cell.powered), "a latched cell has no power", "")
+        latched = self._runner.latched
+        _hold(not latched or (session is None and not self._cell.powered), "a latched cell has no power", "")
 
     def _restrained(self, session: Session | None) -> None:
         if session is None or session is not self._was:
@@ -140,7 +144,7 @@ class Invariants:
         _hold(self._held < 3 or run.rate <= self._rate, "what is held goes no faster", f"{self._rate} → {run.rate}")
         _hold(self._ending < END_TICKS, "an end comes", f"{run.next}")
         _hold(session is not self._paused or not run.moves(), "a pause lasts", f"{run.status}")
-        holds = bool(self._story.runner.holding) and run.status is not Status.RECOVERING
+        holds = bool(self._runner.holding) and run.status is not Status.RECOVERING
         _hold(not holds or not run.moves(), "a cell without its server holds", f"{run.status}")
 
     def _stands(self, session: Session | None) -> None:
@@ -148,7 +152,7 @@ class Invariants:
         if not rests or (session is not None and session.run.giving_ticks > 0):
             self._stood = None
             return
-        physical, now = self._story.cell.plant.read(), self._story.cell.glance()
+        physical, now = self._cell.plant.read(), self._cell.glance()
         stands = (now.base[:2], tuple(physical.joint_rad.tolist()), (physical.width_m,))
         if self._stood is None:
             self._stood = stands
@@ -164,8 +168,8 @@ class Invariants:
         """Look whether what was in the hand falls once it was let go of by anybody but a human at the controls."""
         if not self._keeps:
             return
-        plant, tick = self._story.cell.plant, self._story.tick
-        sent, held, by = self._story.cell.sent, plant.true_held(), self._was or session
+        plant, tick = self._cell.plant, self._cell.observe().tick
+        sent, held, by = self._cell.sent, plant.true_held(), self._was or session
         if sent is not None and sent.grip_force_n <= 0.0 and (by is None or by.run.doing is not Doing.TAKEOVER):
             self._open_until = tick + LET_GO_TICKS
         if held is not None:
@@ -182,20 +186,20 @@ class Invariants:
         """Look whether somebody is told where a session waits: a human who holds it, or drives it, knows."""
         run = None if session is None else session.run
         known = run is None or run.moves() or run.status is Status.ESCALATED or "operator" in run.paused_by
-        if known or session is None or session.steering is not None or self._story.runner.fault:
+        if known or session is None or session.steering is not None or self._runner.fault:
             self._untold = 0
             return
         self._untold += 1
         _hold(self._untold < UNTOLD_TICKS, "nothing waits without a word", f"{session.run.status}")
 
     def _is_recorded(self, session: Session | None) -> None:
-        well = not self._story.disk.full and not self._story.runner.fault
+        well = not self._disk.full and not self._runner.fault
         self._recorded = self._recorded + 1 if well else 0
         if self._recorded < 3:
             return
-        marks, name = self._story.disk.marks, None if session is None else session.run.id
+        marks, name = self._disk.marks, None if session is None else session.run.id
         _hold(marks.get("open") == name, "the journal knows what runs", f"{marks.get('open')}, not {name}")
-        _hold(bool(marks.get("latched")) == self._story.runner.latched, "the journal knows of a latched stop", "")
+        _hold(bool(marks.get("latched")) == self._runner.latched, "the journal knows of a latched stop", "")
         if session is not None:
             said = self._status.get(session.run.id)
             _hold(said == session.run.status, "the record knows the status", f"{said}, not {session.run.status}")

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
-from app.cell.journal import Journal, JournalUnavailable
 from app.cell.runner import Runner
 from app.cell.steering import asks
 from app.governance.conditions import unmet
@@ -17,8 +16,8 @@ from app.governance.guard import check
 from app.governance.model import Authorization, CellFacts, Context, Mode, PolicyOutcome, Proposal, Wish
 from app.governance.permit import mint
 from app.governance.plans import recovery_plan, watch_plan
+from app.ordeal.instruments import Disk, Witness
 from app.ordeal.invariants import END_TICKS, BrokenInvariant, Invariants
-from app.sim.workcell import Workcell
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -27,10 +26,8 @@ if TYPE_CHECKING:
     from app.cell.handover import Session
     from app.cell.journal import Entry
     from app.governance.model import (
-        Command,
         CoveredRecovery,
         Json,
-        Observation,
         Params,
         RecoveryPlan,
         WatchPlan,
@@ -89,35 +86,6 @@ class Finding(NamedTuple):
         ]
 
 
-class Witness(Workcell):
-    """A workcell that remembers what its drives were told."""
-
-    sent: Command | None = None
-    before: Command | None = None
-
-    def step(self, command: Command) -> Observation:
-        """Do a step, and note what the drives follow in it."""
-        follows = self._grant is not None and self.powered
-        self.before, self.sent = self.sent, command if follows else self.hold()
-        return super().step(command)
-
-
-class Disk(Journal):
-    """A journal whose disk may be full."""
-
-    full = False
-
-    def append(self, **entry: object) -> Entry:  # type: ignore[override]  # passed on as it came
-        """Write an entry, if there is room."""
-        self.require_room()
-        return super().append(**entry)  # type: ignore[arg-type]
-
-    def require_room(self) -> None:
-        """Say whether there is room."""
-        if self.full:
-            raise JournalUnavailable("the disk is full")
-
-
 class Story:
     """One story as it is played."""
 
@@ -131,7 +99,7 @@ class Story:
             self.cell, plan_of=self._plan_of, verify=self._unmet, journal=self.disk, wall=self._wall, emit=self._tell
         )
         self.runner.adopt(policy_digest=policy.digest, key=_KEY.public_key())
-        self.watch = Invariants(self)
+        self.watch = Invariants(self.cell, self.disk, self.runner, scene.faults)
         self.permits: list[tuple[SignedAuthorization, bool]] = []  # and whether it changes the hands a session is in
         self.number = 0
         self.wish = Wish()
