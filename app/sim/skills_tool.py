@@ -22,10 +22,13 @@ _CLEAR_M = 0.22  # above the tool's place: clear of a raised lever
 # A handle that is gripped harder cannot turn in the fingers: the hand goes on a circle of its own then, against the
 # lever's, and strains the arm. `force_n` is what the tool may be worked with, not what it has to be held with.
 HANDLE_GRIP_N = 60.0
+_FELT_EVERY_RAD = 0.1
 # Of a lever that was let go of on its way its switch says only that it is at neither end.
 _MAY_STAND_RAD = {
     "up": (LEVER_SWING_RAD,),
-    "between": (0.35, 0.25, 0.15, 0.05, -0.05, -0.15, -0.25, -0.35, -0.45),
+    "between": tuple(
+        LEVER_SWING_RAD - k * _FELT_EVERY_RAD for k in range(1, round(2 * LEVER_SWING_RAD / _FELT_EVERY_RAD) + 1)
+    ),
     "down": (-LEVER_SWING_RAD,),
 }
 
