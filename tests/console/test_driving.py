@@ -408,6 +408,16 @@ def test_a_finger_that_slides_off_its_button_lets_go_and_no_button_lies_over_ano
         assert over == [], f"at {width} px"
 
 
+def test_who_drives_sees_the_robot_beside_pad_and_gauges_in_a_low_window(server: ServerProcess, people: People) -> None:
+    person = people.sit(server)
+    take_controls(person)
+    expect(person.button("End session")).to_be_visible()
+    for width in (1024, 1101, 1180, 1181, 1240, 1241, 1280, 1366):
+        person.page.set_viewport_size({"width": width, "height": 720})
+        person.page.evaluate(THREE_FRAMES)
+        assert box(person.region("The cell in 3D"))["height"] >= 200, f"at {width} px"
+
+
 def test_whoever_lets_go_of_the_first_button_of_a_mouse_stops_and_another_button_drives_nothing(
     server: ServerProcess, people: People, floor: Floor
 ) -> None:
