@@ -1,5 +1,5 @@
 /** Makes a candidate of what a person picked: a folder, files, or an archive of them. */
-import { unzip } from './zip';
+import { MAX_BYTES, unzip } from './zip';
 
 export type Files = Record<string, string>;
 
@@ -19,6 +19,9 @@ export interface Picked {
 /** What makes a policy directory one; with fewer, the pick is taken for changes to what is in force. */
 const WHOLE = ['site.yaml', 'organization.yaml', 'authority.yaml'];
 const FOLDERS = ['capabilities', 'profiles', 'tests'];
+/** What the server takes of one at most. To show more would hold the whole page up, and the stop in it. */
+const MAX_TEXT = 4 * 1024 * 1024;
+const TOO_LARGE = 'what was picked is larger than any policy';
 
 /** What is brought of a version that is there: its files, and what it promises beside them. */
 export function filesOf({ files, promises }: { files: Files; promises: string | null }): Files {
@@ -28,17 +31,23 @@ export function filesOf({ files, promises }: { files: Files; promises: string | 
 /** Reads what an input of files holds; an archive among them stands for its entries. */
 export async function read(picked: Iterable<File>): Promise<Picked[]> {
   const found: Picked[] = [];
+  let length = 0;
   for (const file of picked) {
-    const path = file.webkitRelativePath || file.name;
-    if (/\.zip$/i.test(path)) {
-      for (const entry of await unzip(await file.arrayBuffer())) found.push({ path: entry.path, text: decoded(entry.path, entry.bytes) });
-    } else if (isText(path)) {
-      found.push({ path, text: decoded(path, new Uint8Array(await file.arrayBuffer())) });
-    } else {
-      found.push({ path, text: '' });
-    }
+    const inside = await contentOf(file, file.webkitRelativePath || file.name);
+    found.push(...inside);
+    length += inside.reduce((sum, { text }) => sum + text.length, 0);
+    if (length > MAX_TEXT) throw new Error(TOO_LARGE);
   }
   return found;
+}
+
+async function contentOf(file: File, path: string): Promise<Picked[]> {
+  const packed = /\.zip$/i.test(path);
+  if (!packed && !isText(path)) return [{ path, text: '' }];
+  if (file.size > (packed ? MAX_BYTES : MAX_TEXT)) throw new Error(TOO_LARGE);
+  const bytes = await file.arrayBuffer();
+  if (!packed) return [{ path, text: decoded(path, new Uint8Array(bytes)) }];
+  return (await unzip(bytes)).map((entry) => ({ path: entry.path, text: decoded(entry.path, entry.bytes) }));
 }
 
 function isText(path: string): boolean {

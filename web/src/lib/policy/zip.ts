@@ -15,7 +15,7 @@ const DIRECTORY = 0x02014b50;
 const LOCAL = 0x04034b50;
 const END_SIZE = 22;
 const MAX_ENTRIES = 4_000;
-const MAX_BYTES = 16 * 1024 * 1024;
+export const MAX_BYTES = 16 * 1024 * 1024;
 
 export async function unzip(archive: ArrayBuffer): Promise<Entry[]> {
   const view = new DataView(archive);

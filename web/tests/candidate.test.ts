@@ -1,0 +1,14 @@
+import { describe, expect, it } from 'vitest';
+import { read } from '../src/lib/policy/candidate';
+
+const sized = (name: string, size: number): File => Object.defineProperty(new File([''], name), 'size', { value: size });
+
+describe('what is picked', () => {
+  it('is not read where it is larger than any policy, as one file, as several or in an archive', async () => {
+    const half = new File(['x'.repeat(3_000_000)], 'half.yaml');
+    for (const picked of [[sized('vast.yaml', 100_000_000)], [sized('vast.zip', 100_000_000)], [half, half]]) {
+      await expect(read(picked)).rejects.toThrow('larger than any policy');
+    }
+    expect(await read([half, sized('vast.png', 100_000_000)])).toHaveLength(2);
+  });
+});
