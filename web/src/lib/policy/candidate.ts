@@ -68,12 +68,20 @@ export function candidateOf(picked: Picked[], live: Files): Candidate {
   const clean = picked.map(({ path, text }) => ({ path: path.replaceAll('\\', '/').replace(/^(\.?\/)+/, ''), text }));
   const root = rootOf(clean.map(({ path }) => path));
   const files: Files = {};
+  const from: Record<string, string> = {};
   const leftOut: string[] = [];
   for (const { path, text } of clean) {
     const inside = path.startsWith(root) ? path.slice(root.length) : path;
     const hidden = inside.split('/').some((part) => part.startsWith('.') || part === '__MACOSX');
-    if (hidden || !isText(inside)) leftOut.push(inside);
-    else files[placed(inside, text, live)] = text;
+    if (hidden || !isText(inside)) {
+      leftOut.push(inside);
+      continue;
+    }
+    const place = placed(inside, text, live);
+    // Which of the two is meant, only the one who picked them knows.
+    if (place in files) throw new Error(`\`${from[place]}\` and \`${path}\` would both be \`${place}\`: pick one of them`);
+    files[place] = text;
+    from[place] = path;
   }
   const partial = !WHOLE.every((name) => name in files);
   return { files: partial ? { ...live, ...files } : files, leftOut, partial };
