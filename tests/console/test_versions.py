@@ -257,6 +257,30 @@ def test_who_goes_on_while_a_candidate_is_checked_loses_nothing_and_is_not_fetch
     expect(kept).to_have_count(0)
 
 
+def pick(engineer: Person, files: dict[str, str]) -> Locator:
+    """Pick files by their names; returns the region of the candidate that they make."""
+    engineer.page.evaluate("location.hash = '#/policy/Versions/new'")
+    bring = engineer.region("Bring a candidate")
+    bring.get_by_label("Choose files or a ZIP").set_input_files(
+        [{"name": name, "mimeType": "", "buffer": text.encode()} for name, text in files.items()]
+    )
+    expect(bring.get_by_text(re.compile("differs? from what is in force"))).to_be_visible()
+    say_why(bring, "for a visit")
+    return bring
+
+
+def test_a_fault_is_shown_on_its_line_whatever_ends_the_lines(changing: ServerProcess, people: People) -> None:
+    engineer = seat(people, changing, "engineer")
+    engineer.expects(REFUSED)
+    text = (ROOT / "policies" / PROFILE).read_text().replace("signal: stall_s", "signal: stall_h")
+    bring = pick(engineer, {"human-shared.yaml": text.replace("\n", "\r\n")})
+    bring.get_by_role("button", name="Check and keep").click()
+    bring.get_by_role("button", name=re.compile(r"Line \d+")).click()
+    expect(bring.get_by_role("textbox", name=PROFILE)).to_be_focused()
+    chosen = "(({value, selectionStart, selectionEnd}) => value.slice(selectionStart, selectionEnd))"
+    assert engineer.page.evaluate(f"{chosen}(document.activeElement)").strip() == "signal: stall_h"
+
+
 def test_whoever_loads_the_page_anew_over_a_candidate_is_told_that_it_was_not_sent(
     changing: ServerProcess, people: People
 ) -> None:
