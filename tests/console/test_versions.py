@@ -281,6 +281,18 @@ def test_a_fault_is_shown_on_its_line_whatever_ends_the_lines(changing: ServerPr
     assert engineer.page.evaluate(f"{chosen}(document.activeElement)").strip() == "signal: stall_h"
 
 
+def test_of_many_files_the_fault_in_one_is_seen_from_where_it_was_sent(changing: ServerProcess, people: People) -> None:
+    engineer = seat(people, changing, "engineer")
+    engineer.expects(REFUSED)
+    text = (ROOT / "policies/capabilities/inspect_area.yaml").read_text().replace("risk: low", "risk: lowly")
+    names = [f"inspect_{k}" for k in range(60)]
+    bring = pick(engineer, {f"{name}.yaml": text.replace("inspect_area", name) for name in names})
+    bring.get_by_role("button", name="Check and keep").click()
+    expect(bring.get_by_role("button", name="Check again")).to_be_in_viewport()
+    expect(bring.get_by_role("alert")).to_contain_text("it is not kept.")
+    expect(bring.get_by_role("alert")).to_be_in_viewport()
+
+
 def test_whoever_loads_the_page_anew_over_a_candidate_is_told_that_it_was_not_sent(
     changing: ServerProcess, people: People
 ) -> None:
