@@ -293,6 +293,17 @@ def test_of_many_files_the_fault_in_one_is_seen_from_where_it_was_sent(changing:
     expect(bring.get_by_role("alert")).to_be_in_viewport()
 
 
+def test_a_file_of_a_million_lines_is_brought_and_holds_no_stop_up(changing: ServerProcess, people: People) -> None:
+    engineer = seat(people, changing, "engineer")
+    text = (ROOT / "policies" / PROFILE).read_text().replace(SHIPPED, "grip_force_n: {max: 52,")
+    bring = pick(engineer, {"human-shared.yaml": text + "\n" * 1_000_000})
+    expect(bring).to_contain_text("too long to be shown here")
+    expect(bring.get_by_role("textbox", name=PROFILE)).to_have_count(0)
+    bring.get_by_role("button", name="Check and keep").click()
+    view = engineer.page.get_by_role("region", name=re.compile("^Version "))
+    expect(view).to_contain_text("It loosens nothing: one engineer is enough.")
+
+
 def test_whoever_loads_the_page_anew_over_a_candidate_is_told_that_it_was_not_sent(
     changing: ServerProcess, people: People
 ) -> None:
