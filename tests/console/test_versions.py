@@ -293,6 +293,21 @@ def test_of_many_files_the_fault_in_one_is_seen_from_where_it_was_sent(changing:
     expect(bring.get_by_role("alert")).to_be_in_viewport()
 
 
+def test_why_a_candidate_is_not_kept_is_in_sight_on_a_phone(changing: ServerProcess, people: People) -> None:
+    engineer = seat(people, changing, "engineer", size=PHONE)
+    engineer.expects(f"{REFUSED}|ERR_FAILED")
+    text = (ROOT / "policies" / PROFILE).read_text().replace("signal: stall_s", "signal: stall_h")
+    bring = pick(engineer, {"human-shared.yaml": text})
+    bring.get_by_role("button", name="Check and keep").tap()
+    told = bring.get_by_role("alert")
+    expect(told).to_contain_text("1 fault: it is not kept.")
+    expect(told).to_be_in_viewport(ratio=0.9)
+    engineer.page.route("**/v1/policies", lambda route: route.abort())
+    bring.get_by_role("button", name="Check again").tap()
+    unsure = told.filter(has_text="it is not known whether this arrived")
+    expect(unsure).to_be_in_viewport(ratio=0.9)
+
+
 def test_a_file_of_a_million_lines_is_brought_and_holds_no_stop_up(changing: ServerProcess, people: People) -> None:
     engineer = seat(people, changing, "engineer")
     text = (ROOT / "policies" / PROFILE).read_text().replace(SHIPPED, "grip_force_n: {max: 52,")
