@@ -9,8 +9,8 @@ describe('how the server is', () => {
   const page = (script: string) => () => Promise.resolve(`<head><script type="module" crossorigin src="${script}"></script></head>`);
 
   it('is told where it keeps robots from moving, the gravest first', () => {
-    const found = troublesOf({ store: 'no space left', record: 'event 25 is not what was signed', rows: 'of no concern here' });
-    expect(found.map(({ part, why }) => [part, why])).toEqual([['record', 'event 25 is not what was signed'], ['store', 'no space left']]);
+    const found = troublesOf({ store: 'no space left', record: 'the bytes of event `25` were altered', rows: 'of no concern here' });
+    expect(found.map(({ part, why }) => [part, why])).toEqual([['record', 'The bytes of event “25” were altered.'], ['store', 'No space left.']]);
   });
 
   it('is asked again and again, and no more once the console has ended', async () => {

@@ -1,4 +1,5 @@
 import type { Api } from '../api/client';
+import { sentence } from '../format/quoted';
 
 const EVERY_MS = 5_000;
 /** What of a server's health keeps robots from moving, in words; the rest is for whoever runs the server. */
@@ -18,7 +19,7 @@ export interface Trouble {
 export function troublesOf(broken: Record<string, string | null>): Trouble[] {
   return Object.entries(WORDS)
     .filter(([part]) => part in broken)
-    .map(([part, words]) => ({ part, words, why: broken[part] ?? '' }));
+    .map(([part, words]) => ({ part, words, why: broken[part] == null ? '' : sentence(broken[part]) }));
 }
 
 /** The script of a page of the console, as the page names it; null where that is none of them, as what a proxy wants one to sign in by. */
