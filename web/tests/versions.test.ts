@@ -7,7 +7,7 @@ import { Draft } from '../src/lib/policy/draft.svelte';
 import { decidedAs, deedOf, shortVersion } from '../src/lib/policy/versions';
 import { Versions } from '../src/lib/policy/versions.svelte';
 import { Whys } from '../src/lib/policy/whys.svelte';
-import { unzip, ZipError } from '../src/lib/policy/zip';
+import { PickUnreadable, unzip } from '../src/lib/policy/zip';
 
 /** An archive as packers write it: local headers with their data, the central directory, its end. */
 function archive(entries: Record<string, string>, { deflated = true, flags = 0, size = 0 } = {}): ArrayBuffer {
@@ -59,7 +59,7 @@ describe('an archive', () => {
     ['that is larger than any policy', archive({ a: 'b' }, { size: 99_000_000 }), 'larger than any policy'],
   ])('%s is refused', async (_, bytes, why) => {
     await expect(unzip(bytes)).rejects.toThrow(why);
-    await expect(unzip(bytes)).rejects.toBeInstanceOf(ZipError);
+    await expect(unzip(bytes)).rejects.toBeInstanceOf(PickUnreadable);
   });
 });
 
@@ -209,6 +209,12 @@ describe('a draft', () => {
     const draft = new Draft();
     await draft.take(change, { ...server(WHOLE), versions: () => Promise.reject(new TypeError('Failed to fetch')) });
     expect([draft.empty, draft.trouble, draft.busy]).toEqual([true, 'TypeError: Failed to fetch', null]);
+  });
+
+  it('says in a sentence what of a pick cannot be read', async () => {
+    const draft = new Draft();
+    await draft.take([new File([new Uint8Array([255, 254])], 'a.yaml')], server(WHOLE));
+    expect([draft.empty, draft.trouble]).toEqual([true, '“a.yaml” is no UTF-8 text.']);
   });
 
   it('is of the last pick, whichever is answered last, and of none that was discarded', async () => {

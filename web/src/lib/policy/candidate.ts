@@ -1,5 +1,5 @@
 /** Makes a candidate of what a person picked: a folder, files, or an archive of them. */
-import { MAX_BYTES, unzip } from './zip';
+import { MAX_BYTES, PickUnreadable, unzip } from './zip';
 
 export type Files = Record<string, string>;
 
@@ -36,7 +36,7 @@ export async function read(picked: Iterable<File>): Promise<Picked[]> {
     const inside = await contentOf(file, file.webkitRelativePath || file.name);
     found.push(...inside);
     length += inside.reduce((sum, { text }) => sum + text.length, 0);
-    if (length > MAX_TEXT) throw new Error(TOO_LARGE);
+    if (length > MAX_TEXT) throw new PickUnreadable(TOO_LARGE);
   }
   return found;
 }
@@ -44,7 +44,7 @@ export async function read(picked: Iterable<File>): Promise<Picked[]> {
 async function contentOf(file: File, path: string): Promise<Picked[]> {
   const packed = /\.zip$/i.test(path);
   if (!packed && !isText(path)) return [{ path, text: '' }];
-  if (file.size > (packed ? MAX_BYTES : MAX_TEXT)) throw new Error(TOO_LARGE);
+  if (file.size > (packed ? MAX_BYTES : MAX_TEXT)) throw new PickUnreadable(TOO_LARGE);
   const bytes = await file.arrayBuffer();
   if (!packed) return [{ path, text: decoded(path, new Uint8Array(bytes)) }];
   return (await unzip(bytes)).map((entry) => ({ path: entry.path, text: decoded(entry.path, entry.bytes) }));
@@ -59,7 +59,7 @@ function decoded(path: string, bytes: Uint8Array): string {
   try {
     return new TextDecoder('utf-8', { fatal: true }).decode(bytes);
   } catch {
-    throw new Error(`\`${path}\` is no UTF-8 text`);
+    throw new PickUnreadable(`\`${path}\` is no UTF-8 text`);
   }
 }
 
@@ -79,7 +79,7 @@ export function candidateOf(picked: Picked[], live: Files): Candidate {
     }
     const place = placed(inside, text, live);
     // Which of the two is meant, only the one who picked them knows.
-    if (place in files) throw new Error(`\`${from[place]}\` and \`${path}\` would both be \`${place}\`: pick one of them`);
+    if (place in files) throw new PickUnreadable(`\`${from[place]}\` and \`${path}\` would both be \`${place}\`: pick one of them`);
     files[place] = text;
     from[place] = path;
   }

@@ -1,6 +1,8 @@
 import { SvelteMap } from 'svelte/reactivity';
 import { ApiError, type Api } from '../api/client';
 import type { Comparison, Shadow, Version } from '../api/documents';
+import { sentence } from '../format/quoted';
+import { PickUnreadable } from './zip';
 
 /** What the server answers where it has no version of a name, or what was asked for is no name of one. */
 const NONE = new Set(['policy_unknown', 'request_invalid']);
@@ -132,6 +134,8 @@ export class Closer {
   }
 }
 
+/** Why something did not come about, for a person. */
 export function said(error: unknown): string {
+  if (error instanceof PickUnreadable) return sentence(error.message);
   return error instanceof ApiError ? error.message : String(error);
 }
