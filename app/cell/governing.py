@@ -336,7 +336,10 @@ class Governing:
             failure = "recovery_failed"
         # Undoing that fails is a failure of its own: nothing may make a new attempt of it, or of what recovers from it.
         failed_in = failure == UNDONE_BADLY or (run.doing is Doing.RECOVERY and after is None)
-        return recover(failure, run.recovery, run.used, covered=covered, after=after, recovering=failed_in)
+        found = recover(failure, run.recovery, run.used, covered=covered, after=after, recovering=failed_in)
+        if found.strategy is Strategy.ASK_HUMAN and isinstance(run.skill, Unprepared) and failure == run.asked:
+            return found._replace(strategy=Strategy.TERMINATE, reason="unprepared")  # they would be asked without end
+        return found
 
     def _roll_back(self, failure: str) -> str | None:
         run = self.run
@@ -421,6 +424,7 @@ class Governing:
         run.bound(then.doing, substrate.hold())
         run.responding = recovering(run.spared, self._ports.recorder.tick, substrate.period_s, self._kept())
         run.settling_ticks, run.unmet, run.failed = 0, (), ""
+        run.asked = run.asked if isinstance(run.skill, Unprepared) else ""
         run.begin_anew()
         if then.doing is Doing.ATTEMPT:
             self._become(Event.RECOVERED, "new_attempt")
@@ -537,7 +541,7 @@ class Governing:
         permit, failed = run.grant.authorization, run.failed
         if failed:
             self._tell(telling.asked_again(run.id, failed))
-        run.deciding, run.failed = None, ""
+        run.deciding, run.failed, run.asked = None, "", failed
         run.confirm()
         run.paused_by.clear()
         run.hold_after_recovery = ""

@@ -148,6 +148,7 @@ class Run:
     paused_by: set[str] = field(default_factory=set[str])
     escalated_by: str = ""
     failed: str = ""
+    asked: str = ""  # the failure that a human let it go on after, until a new attempt has begun
     confirmed: set[str] = field(default_factory=set[str])
     settling_ticks: int = 0
     unmet: tuple[str, ...] = ()

@@ -35,7 +35,7 @@ SIGNALS: Final[Mapping[Violation, frozenset[str]]] = {
 
 UNLOOKED: Final = frozenset({Signal.NORMAL.value, Signal.COMPLETION.value})
 ENDING: Final = frozenset(
-    {"rollback_required", "nobody_to_ask", "no_row", "row_exhausted", "not_covered", "asked", "elsewhere"}
+    {"rollback_required", "nobody_to_ask", "no_row", "row_exhausted", "not_covered", "asked", "elsewhere", "unprepared"}
 )
 """Reasons for a recovery step that stand in no row of the table, but in policy's rules about tables."""
 

@@ -263,6 +263,29 @@ def test_what_cannot_be_prepared_moves_nothing_until_somebody_says_so(rig: Rig) 
     assert rig.of("cell")[-1] == {"what": "unprepared", "detail": "unreachable: grasp_object"}
 
 
+def test_what_a_human_has_tried_again_and_cannot_even_begin_ends_instead_of_asking_the_same(rig: Rig) -> None:
+    rig.cell.refuses["grasp_object"] = "unreachable"
+    rig.launch()
+    rig.until_status("escalated")
+    assert rig.runner.human("inv-1", "resolve_continue", "operator") is None
+    ended = rig.finish()
+    assert (ended["outcome"], ended["code"], ended["failure"]) == ("terminated", "unreachable", "unreachable")
+    assert (rig.last("recovery")["strategy"], rig.last("recovery")["reason"]) == ("TERMINATE", "unprepared")
+    assert len(rig.of("escalation")) == 1
+    assert rig.cell.bound == []
+
+
+def test_what_cannot_begin_for_another_reason_than_a_human_was_asked_about_asks_anew(rig: Rig) -> None:
+    rig.cell.refuses["grasp_object"] = "unreachable"
+    rig.launch()
+    rig.until_status("escalated")
+    rig.cell.refuses["grasp_object"] = "placement_failed"
+    assert rig.runner.human("inv-1", "resolve_continue", "operator") is None
+    rig.ticks(5)
+    rig.until_status("escalated")
+    assert [body["failure"] for body in rig.of("escalation")] == ["unreachable", "placement_failed"]
+
+
 def test_a_grant_policy_has_no_plan_for_does_not_run(rig: Rig) -> None:
     rig.plan = replace(PLAN, sensitivity=7.0)
     assert rig.runner.launch(signed()) == "no_plan"
