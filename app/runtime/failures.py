@@ -16,7 +16,7 @@ RULE: Final = "cell/session"
 KNOWN: Final[Mapping[str, tuple[str, str]]] = {
     "object_not_found": ("the object is not where it was remembered", "inspect the area where it may be"),
     "grasp_failed": ("the grasp did not succeed", "look again, then grasp again"),
-    "object_lost": ("the object slipped out of the grip", "inspect the area, then grasp it again"),
+    "object_lost": ("the grip holds the object no more", "inspect the area, then grasp it again"),
     "no_path": ("no way leads there", "choose another target, or wait until the way is free"),
     "blocked": ("something stands in the way", "choose another way or target, or wait until it is free"),
     "unreachable": ("it is out of reach from here", "navigate to the stand beside it"),

@@ -128,11 +128,11 @@ def _grasp(body: Body, thing: SiteObject, guess: Glimpse, force_n: float, limit_
     for height, pace in ((0.02, slow), (LIFT_M, speed)):
         yield from body.line(here._replace(z_m=here.z_m + height), pace, until=lost)
         if lost():
-            raise SkillFailed("object_lost", f"`{thing.name}` slipped out of the grip")
+            raise SkillFailed("object_lost", f"the grip holds `{thing.name}` no more")
     body.enter("verify", 0.95)
     yield from body.wait(0.3)
     if not body.holding:
-        raise SkillFailed("object_lost", f"`{thing.name}` slipped out of the grip")
+        raise SkillFailed("object_lost", f"the grip holds `{thing.name}` no more")
     body.senses.tare()
     yield from body.wait(0.1)
 
@@ -317,7 +317,7 @@ def _lower(body: Body, support_z_m: float, hand: Hand, limit_mps: float) -> Move
     if here.z_m > floor + CONTACT_NEAR_M:
         yield from body.line(here._replace(z_m=floor + CONTACT_NEAR_M), body.speed(limit_mps))
     if not body.holding:
-        raise SkillFailed("object_lost", f"`{hand.name}` slipped out of the grip")
+        raise SkillFailed("object_lost", f"the grip holds `{hand.name}` no more")
     slow = contact_speed(body, limit_mps)
     yield from body.line(here._replace(z_m=floor), slow, until=lambda: body.touched(PLACE_TOUCH_N))
     yield from down_to(body, floor, slow)

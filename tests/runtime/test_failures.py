@@ -24,3 +24,8 @@ def test_says_what_happened_and_what_to_do(code: str) -> None:
     (told,) = failure(code)["reasons"]
     assert code not in told["message"]
     assert told["remedy"]
+
+
+def test_says_of_an_object_that_was_lost_only_what_the_pads_know() -> None:
+    (told,) = failure("object_lost")["reasons"]
+    assert told["message"] == "the grip holds the object no more"  # it slipped, or somebody took it

@@ -288,6 +288,13 @@ def test_what_is_taken_out_of_the_hand_stays_away_whenever_it_is_taken(site: Sit
     assert cell.truth().objects["mug_1"][2] < -1.0
 
 
+def test_a_placing_whose_object_is_gone_does_not_say_that_it_slipped(site: Site) -> None:
+    cell = cell_with(site, fault("missing", Trigger(capability="place_object", phase="descend"), object="mug_1"))
+    assert run_skill(cell, "grasp_object", GRASP).done
+    ran = run_skill(cell, "place_object", {"surface": "bench_a", "speed_mps": 0.25})
+    assert (ran.failure, ran.detail) == ("object_lost", "the grip holds `mug_1` no more")
+
+
 def test_a_misplaced_object_stands_elsewhere(site: Site):
     cell = cell_with(site, fault("misplaced", object="mug_1", x_m=-0.2))
     before = cell_with(site).truth().objects["mug_1"]
