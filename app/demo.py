@@ -111,19 +111,22 @@ def approve(habits_file: Path, url: str | None, data: Path, token: str | None = 
 
 
 def _read(file: Path) -> dict[str, Any]:
-    """Return what a file of a data directory holds. Raises `OSError`, `ValueError` naming one that is gone or none."""
+    """Return what a file of a data directory holds. Raises `ValueError` naming one that is gone or none."""
     try:
         document: object = orjson.loads(file.read_bytes())
     except FileNotFoundError as error:
         valid = "the data directory of a server that runs, or --server and --token"
         raise ValueError(f"there is no `{file}`; valid: {valid}") from error
+    except OSError as error:
+        why = (error.strerror or str(error)).lower()
+        raise ValueError(f"`{file}` cannot be read: {why}; valid is the file as a server wrote it") from error
     except orjson.JSONDecodeError as error:
         raise ValueError(f"`{file}` cannot be read: {error}; valid is the file as a server wrote it") from error
     return cast("dict[str, Any]", document) if isinstance(document, dict) else {}
 
 
 def _token_of(name: str, tokens: Path) -> str:
-    """Return who it is to the server. Raises `OSError`, `ValueError` naming who is known."""
+    """Return who it is to the server. Raises `ValueError` naming who is known."""
     known = _read(tokens)
     if name not in known:
         raise ValueError(

@@ -85,7 +85,7 @@ OnSkip: TypeAlias = Callable[[Document, ReinsError], None]
 
 
 def load_habits(path: Path) -> Habits:
-    """Read a habits file. Raises `OSError`, and `ValueError` naming file, key or line, and what would be valid."""
+    """Read a habits file. Raises `ValueError` naming file, key or line, and what would be valid."""
     try:
         raw: object = yaml.safe_load(path.read_text(encoding="utf-8"))
     except yaml.MarkedYAMLError as error:
@@ -95,6 +95,9 @@ def load_habits(path: Path) -> Habits:
         raise ValueError(f"{path}: not readable as YAML: {error}; valid is UTF-8 without control characters") from error
     except RecursionError as error:
         raise ValueError(f"{path}: not readable as YAML: it is nested too deep; valid is a list of rules") from error
+    except OSError as error:
+        why = (error.strerror or str(error)).lower()
+        raise ValueError(f"`{path}` cannot be read: {why}; valid is a YAML file of habits") from error
     return parse_habits(raw, str(path))
 
 

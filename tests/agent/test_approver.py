@@ -98,6 +98,25 @@ def test_an_approver_nobody_knows_is_refused_with_who_is_known(tmp_path, capfd):
     assert "valid as `approver`: an operator among operator, operator_2" in said
 
 
+@pytest.mark.parametrize(("made", "why"), [(False, "no such file or directory"), (True, "is a directory")])
+def test_habits_that_are_no_file_are_refused_with_what_would_be_valid(tmp_path, capfd, made, why):
+    habits = tmp_path / "habits.yaml"
+    if made:
+        habits.mkdir()
+    assert approve(habits, "http://127.0.0.1:1", tmp_path, "t") == 2
+    said = " ".join(capfd.readouterr().err.split())
+    assert f"no approver: `{habits}` cannot be read: {why}; valid is a YAML file of habits" in said
+
+
+def test_tokens_that_are_no_file_are_refused_with_what_would_be_valid(tmp_path, capfd):
+    (tmp_path / "habits.yaml").write_text("approver: operator")
+    (tmp_path / "tokens.json").mkdir()
+    assert approve(tmp_path / "habits.yaml", "http://127.0.0.1:1", tmp_path) == 2
+    said = " ".join(capfd.readouterr().err.split())
+    valid = "valid is the file as a server wrote it"
+    assert f"`{tmp_path / 'tokens.json'}` cannot be read: is a directory; {valid}" in said
+
+
 @pytest.mark.parametrize(("token", "url", "said"), [("t", "nourl", "url `nourl`"), ("\n", "http://x", "token: ")])
 def test_an_approver_who_cannot_ask_anybody_is_refused(tmp_path, capfd, token, url, said):
     (tmp_path / "tokens.json").write_text(json.dumps({"operator": token}))
