@@ -57,11 +57,12 @@ def run_cell(settings: CellSettings) -> int:
     Raises:
         ConfigError: a setting cannot be used.
     """
+    scenario, robot = read_scenario(settings.scenario), robot_model(settings.robot)  # before anything is left behind
     try:
         settings.data.mkdir(mode=0o700, parents=True, exist_ok=True)
         with cell_lock(settings.data, cell_terms(settings)):
             sys.setswitchinterval(SWITCH_S)
-            return asyncio.run(_run(settings))
+            return asyncio.run(_run(settings, scenario, robot))
     except JournalUnavailable as error:
         say_error(f"{settings.id}: {error}")
         return DAMAGED if isinstance(error, JournalDamaged) else FINDING
@@ -72,8 +73,7 @@ def run_cell(settings: CellSettings) -> int:
     return MISUSE
 
 
-async def _run(settings: CellSettings) -> int:
-    scenario, robot = read_scenario(settings.scenario), robot_model(settings.robot)
+async def _run(settings: CellSettings, scenario: Scenario | None, robot: Path | None) -> int:
     boot = f"boot_{secrets.token_hex(8)}"
     journal, latch = Journal(settings.data / "journal", boot=boot, now_s=wall_s()), Latch(settings.data / "latch")
     close_left_open(journal, Recorder(journal, wall_s, lambda _: None))

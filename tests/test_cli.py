@@ -571,6 +571,19 @@ def test_what_no_cell_can_be_started_with_starts_no_server(
     assert not (tmp_path / "data").exists()
 
 
+@pytest.mark.parametrize("flag", ["--scenario", "--robot"])
+def test_a_cell_that_cannot_start_leaves_nothing_behind(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], flag: str
+) -> None:
+    monkeypatch.setenv("REINS_CELL_TOKEN", "t")
+    words = ["cell", "--server", "http://127.0.0.1:1", "--data", str(tmp_path / "cells" / "one"), flag, "nope"]
+    monkeypatch.setattr(sys, "argv", ["reins", *words])
+    with pytest.raises(SystemExit, match="2"):
+        main()
+    assert "`nope`" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+
+
 GIVEN_EMPTY = [
     "serve",
     "cell",
