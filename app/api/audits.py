@@ -174,7 +174,9 @@ async def _telemetry_event(request: Request, invocation: str, part: int) -> tupl
     Raises:
         Problem: 404 `telemetry_unknown`.
     """
-    found = await parts_of(request).store.events(invocation=invocation, kind="telemetry", limit=MAX_EVENTS)
+    parts = parts_of(request)
+    await parts.governor.sealed(invocation)
+    found = await parts.store.events(invocation=invocation, kind="telemetry", limit=MAX_EVENTS)
     if len(found) < part:
         detail = f"`{invocation}` has no telemetry file `{part}`: nothing ran, or it still runs"
         raise Problem("telemetry_unknown", detail)

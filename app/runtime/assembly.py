@@ -91,6 +91,7 @@ class Runtime:
         )
 
         self.governor.shadowed = self.shadow.observe
+        self.governor.sealed = self.sessions.sealed
         self._tasks: list[asyncio.Task[None]] = []
 
     def _release(self, invocation: Invocation) -> None:

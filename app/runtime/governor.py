@@ -35,7 +35,7 @@ from app.runtime.takeover import Takeovers
 from app.runtime.uncut import uncut
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Awaitable, Callable, Mapping, Sequence
 
     from app.audit.event import Event
     from app.audit.store import AuditStore
@@ -63,6 +63,7 @@ class Governor(Takeovers, Controls, CellControls):
         self._letting_go = False
         self.broken = ""  # what ended the work in the background: no deadline is met any more, and no cell is tended
         self.shadowed: Callable[[Judgement, Invocation], tuple[EventDraft, ...]] = lambda _, __: ()
+        self.sealed: Callable[[str], Awaitable[None]] = _nothing_is_sealed
 
     @property
     def store(self) -> AuditStore:
@@ -336,3 +337,7 @@ def event_document(event: Event, role: Role) -> dict[str, Any]:
         "actor": event.actor,
         "body": without_free_text(body) if role is Role.AGENT and event.kind != EventKind.PROPOSAL else body,
     }
+
+
+async def _nothing_is_sealed(_: str) -> None:
+    """Wait for no telemetry: nobody keeps any."""

@@ -61,6 +61,7 @@ if TYPE_CHECKING:
 LOST_S: Final = 1.0
 ABSENT_S: Final = 30.0
 LAST_ROWS_S: Final = 0.5
+SEALED_S: Final = 2.0  # as long as who asks for telemetry of a session that has just ended waits for it at most
 LOST_WITH_CELL: Final = frozenset(
     {"session_lost", "cell_lost", "cell_restarted"}
 )  # how a session ends without its cell
@@ -94,7 +95,7 @@ class Sessions:
         self._telemetry = telemetry
         self._absent_s = absent_s
         self._sealing: dict[str, str] = {}
-        self._seals: set[asyncio.Task[None]] = set()
+        self._seals: dict[str, asyncio.Task[None]] = {}
 
     # -- reports -----------------------------------------------------------------------------------------------------
 
@@ -214,8 +215,13 @@ class Sessions:
     def _seal_soon(self, ended: Invocation, cell: str) -> None:
         self._sealing[ended.id] = cell
         task = asyncio.create_task(self._seal(ended, cell), name=f"seal-{ended.id}")
-        self._seals.add(task)
-        task.add_done_callback(self._seals.discard)
+        self._seals[ended.id] = task
+        task.add_done_callback(lambda _: self._seals.pop(ended.id, None))
+
+    async def sealed(self, invocation: str) -> None:
+        """Wait, shortly, until the telemetry of a session that has just ended is sealed."""
+        if (task := self._seals.get(invocation)) is not None:
+            await asyncio.wait([task], timeout=SEALED_S)
 
     async def _seal(self, ended: Invocation, cell: str) -> None:
         """Seal a session's telemetry once its last rows are in: they precede the cell's next state."""
@@ -248,7 +254,7 @@ class Sessions:
     async def close(self) -> None:
         """Seal what is open and say what was left unsaid; what a session reports later goes into another file."""
         if self._seals:
-            await asyncio.wait(self._seals)
+            await asyncio.wait(self._seals.values())
         for invocation in self._telemetry.open():
             await self._sealed(invocation)
         await self._fleet.roster.keep_late()

@@ -18,7 +18,8 @@ from app.api import audits
 from app.audit import reader, searching
 from app.audit.event import EventDraft
 from app.audit.telemetry import TelemetryWriter, channels
-from tests.api.conftest import House, open_house
+from app.protocol import ROW, pack_batch
+from tests.api.conftest import House, eventually, open_house
 from tests.audit.conftest import without_descriptors
 
 pytestmark = pytest.mark.anyio
@@ -420,6 +421,19 @@ async def test_says_where_there_is_no_telemetry(house: House, path: str) -> None
     async with house.client("auditor") as auditor:
         answer = await auditor.get(f"/v1/audit/telemetry/{path}")
     assert (answer.status_code, answer.json()["code"]) == (404, "telemetry_unknown")
+
+
+async def test_telemetry_of_a_session_that_has_just_ended_is_waited_for(house: House) -> None:
+    drive = {"capability": "navigate_to", "params": {"x_m": 1.0, "y_m": 1.0, "yaw_rad": 0.0}}
+    async with house.cell() as cell, house.client() as agent, house.client("auditor") as auditor:
+        made = (await agent.post("/v1/invocations", json=drive)).json()
+        await eventually(lambda: cell.invocation == made["id"])
+        await cell.socket.send(pack_batch(made["id"], bytes(ROW.size) * 3))
+        await cell.tell("outcome", outcome="succeeded")  # and what it measured last comes before its next state
+        cell.invocation = None
+        await eventually(lambda: house.runtime.register.newest(made["id"]) is None)
+        found = await auditor.get(f"/v1/audit/telemetry/{made['id']}")
+    assert (found.status_code, found.json().get("rows")) == (200, 3), found.text
 
 
 async def test_where_telemetry_was_not_kept_it_says_why_as_the_record_does(house: House) -> None:
