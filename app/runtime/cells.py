@@ -13,7 +13,8 @@ from app.audit.event import RowWrite
 from app.clock import monotonic_s
 from app.governance.control import GOING_ON
 from app.governance.model import WorldFacts
-from app.protocol import first_problem
+from app.governance.permit import CLOCK_TOLERANCE_S
+from app.protocol import AGED_MS, first_problem
 from app.runtime.budget import Budget, drawings, records
 
 if TYPE_CHECKING:
@@ -25,6 +26,9 @@ if TYPE_CHECKING:
     from app.protocol import Hello, Human, Message, State
 
 FRESH_S: Final = 1.0  # a state older than this says nothing
+LAUNCH_WITHIN_S: Final = 10.0  # a permit not bound by then is worth nothing
+BEHIND_S: Final = CLOCK_TOLERANCE_S + AGED_MS / 1000  # a permit is from the future, however old the word of that is
+UNTIMELY: Final = "whatever is authorized here counts for nothing there. Set one of the clocks"
 ENDING: Final = frozenset(
     {"stop", "cancel", "resolve_terminate", "end_takeover"}
 )  # after these a session only comes to rest
@@ -142,6 +146,7 @@ class Cell:
     attachment: Line | None = None
     state: State | None = None
     state_at_s: float = 0.0
+    ahead_s: float = 0.0  # its clock of this one's, as its newest state said when it came
     world: WorldFacts | None = None
     trouble: str | None = None
     came: bool = False  # the record says that it has a link
@@ -216,6 +221,20 @@ class Cell:
             and self.state is not None
             and monotonic_s() - self.state_at_s <= FRESH_S
         )
+
+    @property
+    def untimely(self) -> str | None:
+        """Return why it refuses whatever it is given, by its clock; None where that may agree with this one.
+
+        What it says is older by the time it came. A session that runs goes on all the same.
+        """
+        if self.state is None or self.state.invocation is not None:
+            return None
+        if self.ahead_s >= LAUNCH_WITHIN_S:
+            return f"its clock is {self.ahead_s:.0f} s ahead of the server's: {UNTIMELY}"
+        if self.ahead_s <= -BEHIND_S:
+            return f"its clock is {-self.ahead_s:.0f} s behind the server's: {UNTIMELY}"
+        return None
 
     @property
     def outlived(self) -> bool:

@@ -215,7 +215,7 @@ class Fleet:
     def faults(self) -> dict[str, str]:
         """Return why cells that are there move nothing, by cell: without a record, a guard, or the site in force.
 
-        Or the log lacks what they have reported, and they could not send it again.
+        Or the log lacks what they have reported, and they could not send it again. Or their clocks are others.
         """
         known = {cell.id: _fault(cell, cell.state) for cell in self.cells() if cell.fresh and cell.state is not None}
         return {f"cell/{name}": why for name, why in known.items() if why is not None}
@@ -536,6 +536,7 @@ class Fleet:
         """Keep the newest state."""
         cell.state = state
         cell.state_at_s = monotonic_s()
+        cell.ahead_s = state.at_s - self._register.now_s()
         if state.reset == cell.reset:
             cell.reset = ""
         cell.stated.set()
@@ -642,7 +643,8 @@ class Fleet:
 
 def _fault(cell: Cell, state: State) -> str | None:
     missing = None if cell.missing is None else _lacking(*cell.missing)
-    return state.broken or missing or (None if state.fault is None else state.fault.why) or state.elsewhere or None
+    unwritten = None if state.fault is None else state.fault.why
+    return state.broken or missing or unwritten or state.elsewhere or cell.untimely or None
 
 
 def _lacking(first: int, last: int) -> str:

@@ -43,7 +43,7 @@ from app.governance.plans import confirm_before
 from app.governance.recorded import ANEW, circumstances
 from app.governance.recorded import KEY as CIRCUMSTANCES
 from app.protocol import Launch
-from app.runtime.cells import Moment
+from app.runtime.cells import LAUNCH_WITHIN_S, Moment
 from app.runtime.drafts import GRANTED, SERVER
 from app.runtime.errors import Conflict, GaveWay, InvalidParams
 from app.runtime.identity import Identities
@@ -67,7 +67,6 @@ log = logging.getLogger(__name__)
 
 ON_DUTY_S: Final = 120.0  # an operator who was heard within this is on duty
 SESSION_RULE: Final = "runtime/session"
-LAUNCH_WITHIN_S: Final = 10.0  # a permit not bound by then is worth nothing
 REFUSED_OUTCOME: Final[Mapping[Status, Outcome]] = {
     Status.REJECTED: Outcome.REJECTED,
     Status.DEFERRED: Outcome.DEFERRED,

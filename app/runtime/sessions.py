@@ -34,12 +34,11 @@ from app.governance.control import GOING_ON, TAKEOVER, Phase, refused
 from app.governance.model import SESSION, EventKind, Outcome, Status
 from app.governance.session import final_status
 from app.protocol import Human, ProtocolError
-from app.runtime.cells import PAUSE, ended_by
+from app.runtime.cells import LAUNCH_WITHIN_S, PAUSE, ended_by
 from app.runtime.drafts import SERVER, escalation_event, outcome_event, reason
 from app.runtime.escalation import DENIED, EXPIRED, PENDING, ROLLBACK, WITHDRAWN
 from app.runtime.failures import failure
 from app.runtime.hands import HELD, OPEN, never_taken, over
-from app.runtime.kernel import LAUNCH_WITHIN_S
 from app.runtime.questions import RULE
 from app.runtime.recollection import events_of, last_phase, last_question
 from app.runtime.story import DONE, Story, denied

@@ -153,7 +153,7 @@ class HandCell:
     async def state(self, **changes: Any) -> None:
         assert self.attachment is not None
         state = {
-            "at_s": 1.0,
+            "at_s": self.runtime.register.now_s(),
             "tick": max(1, self.tripped),
             "invocation": self.invocation,
             "status": self.status,

@@ -465,6 +465,39 @@ async def test_launches_nothing_before_the_older_reports_of_a_cell_are_in(runtim
     assert (await runtime.governor.invocation(name, AGENT))["status"] == "running", "its `Hello` knew nothing of it"
 
 
+@pytest.mark.parametrize(("off_s", "how"), [(3600.0, "3600 s ahead of"), (-3600.0, "3600 s behind")])
+async def test_a_cell_with_another_clock_is_named_before_its_first_launch(
+    runtime: Runtime, off_s: float, how: str
+) -> None:
+    cell = HandCell(runtime)
+    await cell.dial()
+    await cell.state(at_s=runtime.register.now_s() + off_s)
+    why = runtime.fleet.faults()[f"cell/{CELL}"]
+    assert why.startswith(f"its clock is {how} the server's: ")
+    assert runtime.fleet.document(runtime.fleet.cell(CELL))["fault"] == why
+    assert runtime.governor.ready() == {f"cell/{CELL}": why}
+    await cell.state()
+    assert not runtime.fleet.faults()
+    assert not runtime.governor.ready()
+
+
+@pytest.mark.parametrize("off_s", [9.0, -3.0])
+async def test_a_clock_by_which_a_launch_may_be_taken_is_no_fault(runtime: Runtime, off_s: float) -> None:
+    cell = HandCell(runtime)
+    await cell.dial()
+    await cell.state(at_s=runtime.register.now_s() + off_s)
+    assert not runtime.fleet.faults()
+
+
+async def test_a_session_that_runs_is_not_said_to_stand_where_its_cell_s_clock_leapt(runtime: Runtime) -> None:
+    cell = HandCell(runtime)
+    await cell.dial()
+    await cell.state()
+    name = await running(runtime, cell)
+    await cell.state(at_s=runtime.register.now_s() + 3600.0, invocation=name, status="running")
+    assert not runtime.fleet.faults()
+
+
 async def test_a_cell_that_has_not_kept_what_the_log_lacks_launches_nothing_and_is_named(runtime: Runtime) -> None:
     cell = HandCell(runtime, seq=16)
     await cell.dial(first_seq=16)
