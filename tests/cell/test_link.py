@@ -258,7 +258,7 @@ async def test_a_cell_that_is_started_latched_says_so_at_once(tmp_path: Path, le
     async with await serve(script.converse, "127.0.0.1", 0) as server:
         port = next(iter(server.sockets)).getsockname()[1]
         settings = CellSettings(id="workcell-1", token="secret", data=tmp_path, server=f"http://127.0.0.1:{port}")
-        running = asyncio.create_task(workcell._run(settings))
+        running = asyncio.create_task(workcell._run(settings, None, None))
         await until(lambda: script.of(Hello), "the hello")
         running.cancel()
         await asyncio.gather(running, return_exceptions=True)
