@@ -262,7 +262,7 @@ def _stray(cell: str, event: UpEvent) -> EventDraft:
 
     It is not refused: a cell that outlived a record restored from a copy would report it for ever, and move no more.
     """
-    body = {**_said(cell, event), "stray": event.kind, "of": event.invocation}
+    body = {**_said(cell, event), "stray": event.kind, "session": event.invocation}  # `of` is a report's own word
     return EventDraft(kind=EventKind.CELL, actor=cell, body=body)
 
 

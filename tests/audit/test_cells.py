@@ -58,7 +58,7 @@ STORIES: dict[str, tuple[list[EventDraft], bool, bool]] = {
     "a stop said after its reset": ([word("reset"), word("estop", said_at="2999-01-01T00:00:00.000Z")], True, True),
     "a reset that only a cell tells of": ([word("estop"), told("", kind="human", op="reset")], True, True),
     "a reset of an invocation": ([told("estop"), told("reset", invocation="inv_1")], False, True),
-    "a reset of what it never had": ([told("estop"), told("reset", stray="cell", of="inv_1")], False, True),
+    "a reset of what it never had": ([told("estop"), told("reset", stray="cell", session="inv_1")], False, True),
     "what only looks like it": ([told("x", detail={"what": "estop"}), word("x", of={"op": "estop"})], False, False),
 }  # fmt: skip
 

@@ -900,8 +900,19 @@ async def test_a_trace_holds_no_word_of_a_cell_that_never_had_the_invocation(run
     assert {event.kind for event in said} == {"cell"}
     bodies = [event.payload() for event in said]
     assert [body.get("invocation") for body in bodies if body.get("link") == "attached"] == [name]
-    strays = [(body["stray"], body["of"], body["cell_seq"]) for body in bodies if "stray" in body]
+    strays = [(body["stray"], body["session"], body["cell_seq"]) for body in bodies if "stray" in body]
     assert strays == [("human", name, 1), ("outcome", "inv_made_up", 2)]
+
+
+async def test_what_a_cell_reports_of_a_session_that_the_log_lost_stands_there_word_by_word(
+    runtime: Runtime, cell: HandCell
+) -> None:
+    told = {"signal": "COMPLETION", "rule": "watch/completion", "of": "attempt", "verified": ["at_target"]}
+    await cell.report("alert", "inv_lost", **told)
+    said = await runtime.register.store.events(actor=CELL, kind="cell")
+    (kept,) = [body for body in (event.payload() for event in said) if "stray" in body]
+    assert (kept["stray"], kept["session"]) == ("alert", "inv_lost")
+    assert told.items() <= kept.items()
 
 
 async def test_what_a_cell_reports_again_of_an_invocation_that_is_over_is_in_its_trace(house: House) -> None:
