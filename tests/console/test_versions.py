@@ -257,6 +257,22 @@ def test_who_goes_on_while_a_candidate_is_checked_loses_nothing_and_is_not_fetch
     expect(kept).to_have_count(0)
 
 
+def test_who_brings_what_was_brought_before_is_told_that_their_reason_is_not_kept(
+    changing: ServerProcess, people: People
+) -> None:
+    engineer = seat(people, changing, "engineer")
+    told = engineer.page.get_by_role("status").filter(has_text="the record keeps the reason that was given then")
+    view = engineer.page.get_by_role("region", name=re.compile("^Version "))
+    for why, times in (("the first reason", 0), ("another reason", 1)):
+        bring, _ = begin(engineer, "# brought twice\n", why)
+        bring.get_by_role("button", name="Check and keep").click()
+        expect(view).to_contain_text("the first reason")
+        expect(told).to_have_count(times)
+    expect(told).to_be_in_viewport()
+    versions(engineer)
+    expect(told).to_have_count(0)
+
+
 def pick(engineer: Person, files: dict[str, str]) -> Locator:
     """Pick files by their names; returns the region of the candidate that they make."""
     engineer.page.evaluate("location.hash = '#/policy/Versions/new'")

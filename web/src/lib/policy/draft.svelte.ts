@@ -18,6 +18,8 @@ export class Draft {
   busy = $state<'reading' | 'checking' | null>(null);
   /** The version that was kept of it while it was changed, or nobody saw; until somebody looks at it. */
   kept = $state.raw<Version | null>(null);
+  /** Whether `kept` was known before, with the reason of whoever brought it first: what was said this time is nowhere. */
+  known = $state(false);
   private taking = 0;
   /** The files as they were taken: what differs was written here. */
   private taken = $state.raw<Files>({});
@@ -98,6 +100,7 @@ export class Draft {
       const kept = await api.propose(sent.files, sent.why.trim());
       if (by !== this.by) return; // whoever sits here by now has brought nothing
       this.kept = kept;
+      this.known = kept.why !== sent.why.trim();
       this.faults = [];
       if (this.still(sent)) this.clear();
     } catch (error) {
