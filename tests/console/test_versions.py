@@ -297,6 +297,18 @@ def test_a_fault_is_shown_on_its_line_whatever_ends_the_lines(changing: ServerPr
     assert engineer.page.evaluate(f"{chosen}(document.activeElement)").strip() == "signal: stall_h"
 
 
+def test_a_file_whose_name_turns_its_line_around_is_marked_wherever_it_is_named(
+    changing: ServerProcess, people: People
+) -> None:
+    engineer = seat(people, changing, "engineer")
+    text = (ROOT / "policies/capabilities/inspect_area.yaml").read_text()
+    bring = pick(engineer, {"see_\u202elmay.yaml": text, "notes_\u202ecod.txt": "none"})
+    expect(bring.get_by_role("list", name="Files that differ")).to_contain_text("see_\ufffdlmay.yaml")
+    expect(bring.get_by_role("textbox", name="see_\ufffdlmay.yaml")).to_be_visible()
+    expect(bring).to_contain_text("notes_\ufffdcod.txt")
+    assert "\u202e" not in bring.inner_text()
+
+
 def test_of_many_files_the_fault_in_one_is_seen_from_where_it_was_sent(changing: ServerProcess, people: People) -> None:
     engineer = seat(people, changing, "engineer")
     engineer.expects(REFUSED)
